@@ -1,0 +1,34 @@
+"""longreach keeps a mobile manipulator's hand where you think it is, over long trajectories."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# Where each public name lives; loaded when first used, so that importing longreach stays light.
+_PUBLIC = {
+    "LongreachError": "longreach.errors",
+    "LaserScan": "longreach.measurement",
+    "WheelSpeeds": "longreach.measurement",
+    "WheelTicks": "longreach.measurement",
+    "Odometry": "longreach.measurement",
+    "Imu": "longreach.measurement",
+    "TwistMeasurement": "longreach.measurement",
+    "PoseMeasurement": "longreach.measurement",
+    "RelativePoseMeasurement": "longreach.measurement",
+    "JointState": "longreach.measurement",
+    "Recording": "longreach.measurement",
+    "PoseTrajectory": "longreach.trajectory",
+}
+
+__all__ = [*_PUBLIC, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    raise AttributeError(f"module 'longreach' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,17 @@
+"""What callers can catch: every error that longreach raises on purpose is a `LongreachError`."""
+
+
+class LongreachError(Exception):
+    """Something that the caller can mend; the message is one sentence that says how."""
+
+
+class RecordingError(LongreachError):
+    """A recording, or one message in it, cannot be used."""
+
+
+class ConfigError(LongreachError):
+    """A configuration file or value cannot be used."""
+
+
+class EstimationError(LongreachError):
+    """The measurements given cannot be turned into an estimate."""
