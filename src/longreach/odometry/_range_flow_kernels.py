@@ -1,93 +1,19 @@
-"""Compiled parts of range flow: the pyramid, the warp, the rows of the least-squares problem and its robust solution.
+"""Compiled range flow: the rows of the least-squares problem, its robust solution and covariance, coarse to fine.
 
-A pyramid is one flat array; level l occupies [start[l], start[l + 1]). Ranges are metres, 0 is null.
 Loops over beams run with fastmath, so nothing infinite or NaN may enter (the face replaces them by 0).
 """
 
 import math
+from collections import namedtuple
 
 import numpy as np
 
-from longreach.geometry._kernels import se2_compose, se2_exp, se2_log
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log
 from longreach.kernels import kernel
+from longreach.odometry._eigen_kernels import solve_in_basis, symmetric_eigen
+from longreach.odometry._pyramid_kernels import build_pyramid, warp
 
-
-@kernel(fastmath=True)
-def _smooth_beam(r, u, n, reach):
-    """Bilateral mask [1 4 6 4 1] · (reach - |Δr|): neighbours across an edge have no part in the mean."""
-    centre = r[u]
-    weight = 6.0 * reach
-    total = weight * centre
-    for step in range(1, 3):
-        mask = 4.0 if step == 1 else 1.0
-        if u >= step:
-            w = mask * max(0.0, reach - abs(r[u - step] - centre))
-            weight += w
-            total += w * r[u - step]
-        if u + step < n:
-            w = mask * max(0.0, reach - abs(r[u + step] - centre))
-            weight += w
-            total += w * r[u + step]
-    return total / weight
-
-
-@kernel(fastmath=True)
-def build_pyramid(ranges, start, reach, out):
-    """Step 1: smooth each level, then keep every second beam for the next."""
-    n = len(ranges)
-    source = ranges
-    for level in range(len(start) - 1):
-        target = out[start[level] : start[level + 1]]
-        if level == 0:
-            for u in range(n):
-                target[u] = _smooth_beam(source, u, n, reach) if source[u] > 0.0 else 0.0
-        else:
-            for u in range(len(target)):
-                target[u] = _smooth_beam(source, 2 * u, n, reach) if source[2 * u] > 0.0 else 0.0
-        source = target
-        n = len(target)
-
-
-@kernel(fastmath=True)
-def _atan_ratio(y, x):
-    """atan2(y, x), by its series to 1e-9 where the angle is small, which it nearly always is between two scans."""
-    if x > 0.0 and abs(y) < 0.2 * x:
-        z = y / x
-        z2 = z * z
-        return z * (1.0 - z2 * (1 / 3 - z2 * (1 / 5 - z2 * (1 / 7 - z2 * (1 / 9 - z2 / 11)))))
-    return math.atan2(y, x)
-
-
-@kernel(fastmath=True)
-def warp(r, cos, sin, increment, x, y, theta, warped, weight):
-    """Step 2: carry the new scan by the motion (x, y, θ) into the old one's beams.
-
-    Each point gives its range to its two neighbouring beams, weighted by nearness squared.
-    """
-    n = len(r)
-    ct, st = math.cos(theta), math.sin(theta)
-    for u in range(n):
-        warped[u] = 0.0
-        weight[u] = 0.0
-    for u in range(n):
-        if r[u] <= 0.0:
-            continue
-        px, py = r[u] * cos[u], r[u] * sin[u]
-        qx, qy = ct * px - st * py + x, st * px + ct * py + y
-        position = u + _atan_ratio(cos[u] * qy - sin[u] * qx, cos[u] * qx + sin[u] * qy) / increment
-        if position < 0.0 or position > n - 1:
-            continue
-        distance = math.sqrt(qx * qx + qy * qy)
-        left = min(int(position), n - 2)
-        to_left = position - left
-        w = (1.0 - to_left) * (1.0 - to_left)
-        warped[left] += w * distance
-        weight[left] += w
-        w = to_left * to_left
-        warped[left + 1] += w * distance
-        weight[left + 1] += w
-    for u in range(n):
-        warped[u] = warped[u] / weight[u] if weight[u] > 1e-4 else 0.0
+Settings = namedtuple("Settings", "reach iterations linearisations settled noise c d lags")
 
 
 @kernel(fastmath=True)
@@ -109,9 +35,7 @@ def mean_scan(old, warped, cos, sin, mean, arc, slope):
     for u in range(1, n - 1):
         left, right = mean[u - 1] > 0.0, mean[u + 1] > 0.0
         if left and right:
-            slope[u] = (arc[u - 1] * (mean[u + 1] - mean[u]) + arc[u] * (mean[u] - mean[u - 1])) / (
-                arc[u - 1] + arc[u]
-            )
+            slope[u] = (arc[u - 1] * (mean[u + 1] - mean[u]) + arc[u] * (mean[u] - mean[u - 1])) / (arc[u - 1] + arc[u])
         elif right:
             slope[u] = mean[u + 1] - mean[u]
         elif left:
@@ -122,7 +46,7 @@ def mean_scan(old, warped, cos, sin, mean, arc, slope):
 
 @kernel(fastmath=True)
 def flow_rows(old, warped, mean, slope, cos, sin, increment, noise, A, b):
-    """Fill the weighted rows A (3, m), b (m,) of ρ = b + Aᵀ ξ, and return m and the mean of |R_t|. (3.24), corrected
+    """Fill the weighted rows A (3, m), b (m,) of ρ = b + Aᵀ ξ, and return m. (3.24), corrected
 
     ξ = [v_x, v_y, ω] per scan, in the sensor's frame. Step 5: the weight of a row falls with the derivatives and with
     their change, where the linearisation is poor; `noise` [m] keeps it finite on identical scans.
@@ -130,7 +54,6 @@ def flow_rows(old, warped, mean, slope, cos, sin, increment, noise, A, b):
     n = len(old)
     k = 1.0 / increment
     m = 0
-    flow = 0.0
     largest = 0.0
     for u in range(1, n - 1):
         if mean[u] <= 0.0 or (mean[u - 1] <= 0.0 and mean[u + 1] <= 0.0):
@@ -146,7 +69,6 @@ def flow_rows(old, warped, mean, slope, cos, sin, increment, noise, A, b):
         A[1, m] = w * (s - lever * c)
         A[2, m] = -w * R_a * k
         b[m] = w * R_t
-        flow += abs(R_t)
         largest = max(largest, w)
         m += 1
     if m > 0:
@@ -156,8 +78,7 @@ def flow_rows(old, warped, mean, slope, cos, sin, increment, noise, A, b):
             A[1, i] *= scale
             A[2, i] *= scale
             b[i] *= scale
-        flow /= m
-    return m, flow
+    return m
 
 
 @kernel(fastmath=True)
@@ -187,51 +108,12 @@ def normal_equations(A, b, m, xi, k, H):
 
 
 @kernel
-def symmetric_eigen(S, V):
-    """Jacobi's rotations: S (3, 3) becomes diagonal in place, V (3, 3) its eigenvectors as columns."""
-    for i in range(3):
-        for j in range(3):
-            V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(12):
-        off = abs(S[0, 1]) + abs(S[0, 2]) + abs(S[1, 2])
-        if off <= 1e-15 * (abs(S[0, 0]) + abs(S[1, 1]) + abs(S[2, 2])):
-            return
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if S[p, q] == 0.0:
-                    continue
-                ratio = (S[q, q] - S[p, p]) / (2.0 * S[p, q])
-                t = 1.0 / (abs(ratio) + math.sqrt(1.0 + ratio * ratio))
-                if ratio < 0.0:
-                    t = -t
-                c = 1.0 / math.sqrt(1.0 + t * t)
-                s = t * c
-                for k in range(3):
-                    S[k, p], S[k, q] = c * S[k, p] - s * S[k, q], s * S[k, p] + c * S[k, q]
-                for k in range(3):
-                    S[p, k], S[q, k] = c * S[p, k] - s * S[q, k], s * S[p, k] + c * S[q, k]
-                for k in range(3):
-                    V[k, p], V[k, q] = c * V[k, p] - s * V[k, q], s * V[k, p] + c * V[k, q]
-
-
-@kernel
-def _solve_in_basis(values, V, g0, g1, g2, xi):
-    """ξ = Σ v (vᵀ g) / λ over the directions that the data determine."""
-    floor = 1e-12 * max(values[0, 0], max(values[1, 1], values[2, 2]))
-    for i in range(3):
-        xi[i] = 0.0
-    for i in range(3):
-        if values[i, i] > floor:
-            along = (V[0, i] * g0 + V[1, i] * g1 + V[2, i] * g2) / values[i, i]
-            for j in range(3):
-                xi[j] += V[j, i] * along
-
-
-@kernel
-def robust_flow(A, b, m, flow, iterations, xi, H, V):
+def robust_flow(A, b, m, iterations, xi, H, V):
     """Step 6: least squares, then Cauchy IRLS until ξ stands still; leave H diagonal in its eigenbasis V.
 
-    Return σ², the variance of a weighted residual at the solution.
+    k = 1/(2.385 σ), σ from the mean |ρ| of the first solution: 95 % efficient where the noise is Gaussian. The 2016
+    code's k = 10/mean|R_t| looks at a tenth of the noise only: its solution is a mode, three times as noisy here.
+    Returns σ², the variance of a weighted residual at the solution, and k.
     """
     k = 0.0
     squares = 0.0
@@ -241,20 +123,71 @@ def robust_flow(A, b, m, flow, iterations, xi, H, V):
         g0, g1, g2, squares = normal_equations(A, b, m, xi, k, H)
         symmetric_eigen(H, V)
         b0, b1, b2 = xi[0], xi[1], xi[2]
-        _solve_in_basis(H, V, g0, g1, g2, xi)
+        solve_in_basis(H, V, g0, g1, g2, xi)
         change = abs(xi[0] - b0) + abs(xi[1] - b1) + abs(xi[2] - b2)
         size = abs(xi[0]) + abs(xi[1]) + abs(xi[2])
-        if iteration > 0 and change < 1e-3 * size + 1e-6:
+        if iteration == 0:
+            total = 0.0
+            for i in range(m):
+                total += abs(b[i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2])
+            k = 1.0 / (2.385 * 1.2533 * max(total / m, 1e-9))
+        elif change < 1e-3 * size + 1e-6:
             break
-        k = 10.0 / max(flow, 1e-6)
     _, _, _, squares = normal_equations(A, b, m, xi, k, H)
     symmetric_eigen(H, V)
-    return squares / max(m - 3, 1)
+    return squares / max(m - 3, 1), k
+
+
+@kernel(fastmath=True)
+def flow_covariance(A, b, m, xi, k, lags, H, V, scores, covariance):
+    """Fill covariance (3, 3) of ξ from what the residuals are, not from what they should be.
+
+    The sandwich H⁻¹ S H⁻¹, with S the long-run covariance of the scores w ρ a over `lags` neighbouring rows (Bartlett
+    window, Newey & West 1987): smoothing and surfaces make neighbours err together, and rows differ in noise.
+    H counts w where the curvature of the cost is w (2w - 1); `steepness` makes up for it.
+    """
+    k2 = k * k
+    curvature = weights = 0.0
+    for i in range(m):
+        residual = b[i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2]
+        share = 1.0 / (1.0 + k2 * residual * residual)
+        curvature += share * (2.0 * share - 1.0)
+        weights += share
+        w = residual * share
+        for j in range(3):
+            scores[j, i] = w * (A[0, i] * V[0, j] + A[1, i] * V[1, j] + A[2, i] * V[2, j])
+    steepness = weights / max(curvature, 0.1 * weights)
+    S = np.zeros((3, 3))
+    for p in range(3):
+        for q in range(p, 3):
+            total = 0.0
+            for i in range(m):
+                total += scores[p, i] * scores[q, i]
+            for lag in range(1, min(lags, m - 1) + 1):
+                part = 0.0
+                for i in range(m - lag):
+                    part += scores[p, i] * scores[q, i + lag] + scores[p, i + lag] * scores[q, i]
+                total += part * (1.0 - lag / (lags + 1.0))
+            S[p, q] = S[q, p] = total * m / max(m - 3.0, 1.0) * steepness * steepness
+    floor = 1e-12 * max(H[0, 0], max(H[1, 1], H[2, 2])) + 1e-300
+    for i in range(3):
+        for j in range(3):
+            S[i, j] /= max(H[i, i], floor) * max(H[j, j], floor)
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for p in range(3):
+                for q in range(3):
+                    total += V[i, p] * S[p, q] * V[j, q]
+            covariance[i, j] = total
 
 
 @kernel
-def blend(xi, H, V, variance, expected, c, d):
-    """Step 8: in the covariance's eigenbasis draw ξ to the expected one, the more the less the data say."""
+def blend(xi, H, V, variance, expected, c, d, covariance):
+    """Step 8: in the covariance's eigenbasis draw ξ to the expected one, the more the less the data say.
+
+    What the pull moved is added to the covariance, squared: it may be wrong by as much.
+    """
     floor = 1e-12 * max(H[0, 0], max(H[1, 1], H[2, 2])) + 1e-300
     m0, m1, m2 = xi[0], xi[1], xi[2]
     for j in range(3):
@@ -264,46 +197,74 @@ def blend(xi, H, V, variance, expected, c, d):
         found = V[0, i] * m0 + V[1, i] * m1 + V[2, i] * m2
         prior = V[0, i] * expected[0] + V[1, i] * expected[1] + V[2, i] * expected[2]
         along = (found + pull * prior) / (1.0 + pull)
+        moved = along - found
         for j in range(3):
             xi[j] += V[j, i] * along
+            for l in range(3):
+                covariance[j, l] += V[j, i] * V[l, i] * moved * moved
 
 
 @kernel
 def match_pyramids(old, new, start, cos, sin, increments, previous, settings, work, rows, covariance):
     """Estimate the sensor's motion from the old scan to the new one, coarse to fine (Jaimez 2016).
 
-    settings: iterations, c, d, noise. previous: the last motion as a twist per scan. work (5, n), rows (4, n): space.
-    Fills covariance (3, 3) of ξ on the finest level. Returns x, y, θ, the rows used there and σ² there.
+    previous: the last motion as a twist per scan. settings: a `Settings`. work (5, n), rows (4, n): space.
+    Fills covariance (3, 3) of ξ. Returns x, y, θ of the new scan seen from the old one, and the rows used.
     """
-    iterations, c, d, noise = int(settings[0]), settings[1], settings[2], settings[3]
     x = y = theta = 0.0
     xi, expected = np.zeros(3), np.zeros(3)
     H, V = np.zeros((3, 3)), np.zeros((3, 3))
+    A, b = rows[:3], rows[3]
     m = 0
-    variance = 0.0
     for level in range(len(start) - 2, -1, -1):
         lo, hi = start[level], start[level + 1]
         n = hi - lo
-        if n < 4:
-            continue
-        r_old, r_new, co, si = old[lo:hi], new[lo:hi], cos[lo:hi], sin[lo:hi]
+        r_old, r_new, co, si, increment = old[lo:hi], new[lo:hi], cos[lo:hi], sin[lo:hi], increments[level]
         warped, weight, mean, arc, slope = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
-        warp(r_new, co, si, increments[level], x, y, theta, warped, weight)
-        mean_scan(r_old, warped, co, si, mean, arc, slope)
-        m, flow = flow_rows(r_old, warped, mean, slope, co, si, increments[level], noise, rows[:3], rows[3])
-        if m <= 3:
-            continue
-        variance = robust_flow(rows[:3], rows[3], m, flow, iterations, xi, H, V)
-        done = se2_log(x, y, theta)
-        for j in range(3):
-            expected[j] = previous[j] - done[j]
-        blend(xi, H, V, variance, expected, c * math.exp(-level), d * math.exp(-level))
-        dx, dy, dt = se2_exp(xi[0], xi[1], xi[2])
-        x, y, theta = se2_compose(x, y, theta, dx, dy, dt)
-    floor = 1e-12 * max(H[0, 0], max(H[1, 1], H[2, 2])) + 1e-300
+        for _ in range(settings.linearisations):
+            warp(r_new, co, si, increment, x, y, theta, warped, weight)
+            mean_scan(r_old, warped, co, si, mean, arc, slope)
+            m = flow_rows(r_old, warped, mean, slope, co, si, increment, settings.noise, A, b)
+            if m <= 3:
+                break
+            variance, k = robust_flow(A, b, m, settings.iterations, xi, H, V)
+            if level == 0:
+                flow_covariance(A, b, m, xi, k, settings.lags, H, V, work, covariance)
+            done = se2_log(x, y, theta)
+            for j in range(3):
+                expected[j] = previous[j] - done[j]
+            fade = math.exp(-level)
+            blend(xi, H, V, variance, expected, settings.c * fade, settings.d * fade, covariance)
+            dx, dy, dt = se2_exp(xi[0], xi[1], xi[2])
+            x, y, theta = se2_compose(x, y, theta, dx, dy, dt)
+            if abs(xi[0]) + abs(xi[1]) + abs(xi[2]) < settings.settled:
+                break
+    return x, y, theta, m
+
+
+@kernel
+def step_scan(ranges, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance):
+    """Fill the pyramid `new` and match it against `old`,.
+
+    motion (3,): the laser's last twist per scan, replaced by this one's. Fills the base's pose (3,) and covariance
+    (3, 3), carried from the laser through the planar mount (3,). Returns the rows used on the finest level.
+    """
+    build_pyramid(ranges, start, settings.reach, new)
+    n = len(ranges)
+    local = np.zeros((3, 3))
+    x, y, theta, m = match_pyramids(
+        old, new, start, cos, sin, increments, motion, settings, np.empty((5, n)), np.empty((4, n)), local
+    )
+    motion[0], motion[1], motion[2] = se2_log(x, y, theta)
+    x, y, theta = se2_compose(mount[0], mount[1], mount[2], x, y, theta)
+    ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
+    pose[0], pose[1], pose[2] = se2_compose(x, y, theta, ix, iy, it)
+    adjoint = np.empty((3, 3))
+    se2_adjoint(mount[0], mount[1], mount[2], adjoint)
     for i in range(3):
         for j in range(3):
-            covariance[i, j] = 0.0
+            covariance[i, j] = 1e-12 if i == j else 0.0
             for k in range(3):
-                covariance[i, j] += V[i, k] * V[j, k] * variance / max(H[k, k], floor)
-    return x, y, theta, m, variance
+                for l in range(3):
+                    covariance[i, j] += adjoint[i, k] * local[k, l] * adjoint[j, l]
+    return m
