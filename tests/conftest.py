@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 
@@ -15,10 +16,14 @@ def _checked_modules() -> list[str]:
     spec = find_spec("longreach")
     assert spec is not None
     names = [m.name for m in pkgutil.walk_packages(spec.submodule_search_locations, "longreach.") if not m.ispkg]
-    return [name for name in names if not name.endswith(("._kernels", ".kernels"))]
+    return [name for name in names if not name.endswith("kernels")]
 
 
 install_import_hook(_checked_modules(), "beartype.beartype")
+
+# No deadline, for the first call of a kernel compiles it; the same examples on every run.
+settings.register_profile("longreach", deadline=None, derandomize=True)
+settings.load_profile("longreach")
 
 
 @pytest.fixture
@@ -36,15 +41,3 @@ def data() -> Path:
     if not path.is_dir():
         pytest.skip(f"LONGREACH_DATA names {path}, which is not a folder")
     return path
-
-
-def assert_is_jacobian(f, J, x, retract=None, difference=None, atol=1e-6, step=1e-6):
-    """Check J (m, n) against central differences of f at x, on manifolds through retract and difference."""
-    retract = retract or (lambda a, d: a + d)
-    difference = difference or (lambda a, b: b - a)
-    n = J.shape[1]
-    columns = []
-    for direction in np.eye(n) * step:
-        forward, backward = f(retract(x, direction)), f(retract(x, -direction))
-        columns.append((difference(f(x), forward) - difference(f(x), backward)) / (2 * step))
-    np.testing.assert_allclose(J, np.stack(columns, axis=-1), atol=atol, rtol=1e-6)

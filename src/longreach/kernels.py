@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config as numba_config
+from numba.core import config
 
 _MARK = "@" + "kernel"
+_settings: Any = config  # its names are made at run time, out of a type checker's sight
 
 
 def _sources(package: Path) -> list[Path]:
@@ -31,17 +32,27 @@ def source_hash(package: Path) -> str:
     return digest.hexdigest()[:16]
 
 
+def _private_temporary() -> Path:
+    """A folder that other users cannot have filled: a cache holds code that is run."""
+    folder = Path(tempfile.gettempdir()) / f"longreach-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+        return Path(tempfile.mkdtemp(prefix="longreach-"))
+    return folder
+
+
 def _cache_root() -> Path:
-    """NUMBA_CACHE_DIR if set, else the user's cache folder, else (read-only home) the temporary folder."""
-    if numba_config.CACHE_DIR:
-        return Path(numba_config.CACHE_DIR)
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "longreach"
+    """NUMBA_CACHE_DIR if set, else the user's cache folder; where that cannot be written, the temporary folder."""
     try:
+        if _settings.CACHE_DIR:
+            root = Path(_settings.CACHE_DIR)
+        else:
+            root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "longreach"
         root.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             return root
-    except OSError:
-        return Path(tempfile.gettempdir()) / f"longreach-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home
+        return _private_temporary()
 
 
 @cache
@@ -60,9 +71,9 @@ def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool | set[s
     """
     if function is None:
         return lambda f: kernel(f, fastmath=fastmath)
-    before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder())  # numba picks a function's cache folder when it is decorated
+    before = _settings.CACHE_DIR
+    _settings.CACHE_DIR = str(cache_folder())  # numba picks a function's cache folder when it is decorated
     try:
         return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
     finally:
-        numba_config.CACHE_DIR = before
+        _settings.CACHE_DIR = before

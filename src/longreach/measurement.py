@@ -8,7 +8,7 @@ Arrays are read-only.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -39,7 +39,7 @@ def _check_stamp(stamp: float, what: str) -> None:
 class _Stamped:
     """Check the stamp and freeze the arrays named in `_shapes` of every record."""
 
-    _shapes: Mapping[str, tuple[int | None, ...]] = {}
+    _shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {}
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
@@ -66,7 +66,7 @@ class LaserScan(_Stamped):
     range_max: float = math.inf
     time_increment: float = 0.0
     frame: str = "laser"
-    _shapes = {"ranges": (None,)}
+    _shapes: ClassVar = {"ranges": (None,)}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,7 +96,7 @@ class WheelSpeeds(_Stamped):
 
     stamp: float
     speeds: Float[np.ndarray, " wheels"]
-    _shapes = {"speeds": (None,)}
+    _shapes: ClassVar = {"speeds": (None,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class WheelTicks(_Stamped):
 
     stamp: float
     ticks: Float[np.ndarray, " wheels"]
-    _shapes = {"ticks": (None,)}
+    _shapes: ClassVar = {"ticks": (None,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class Odometry(_Stamped):
     twist: Float[np.ndarray, "3"] | None = None
     pose_covariance: Float[np.ndarray, "3 3"] | None = None
     twist_covariance: Float[np.ndarray, "3 3"] | None = None
-    _shapes = {"pose": (3,), "twist": (3,), "pose_covariance": (3, 3), "twist_covariance": (3, 3)}
+    _shapes: ClassVar = {"pose": (3,), "twist": (3,), "pose_covariance": (3, 3), "twist_covariance": (3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class Imu(_Stamped):
     angular_velocity: Float[np.ndarray, "3"]
     acceleration: Float[np.ndarray, "3"]
     frame: str = "imu"
-    _shapes = {"angular_velocity": (3,), "acceleration": (3,)}
+    _shapes: ClassVar = {"angular_velocity": (3,), "acceleration": (3,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class TwistMeasurement(_Stamped):
     twist: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     source: str = "twist"
-    _shapes = {"twist": (3,), "covariance": (3, 3)}
+    _shapes: ClassVar = {"twist": (3,), "covariance": (3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ class PoseMeasurement(_Stamped):
     pose: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     source: str = "pose"
-    _shapes = {"pose": (3,), "covariance": (3, 3)}
+    _shapes: ClassVar = {"pose": (3,), "covariance": (3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ class RelativePoseMeasurement(_Stamped):
     pose: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     source: str = "relative"
-    _shapes = {"pose": (3,), "covariance": (3, 3)}
+    _shapes: ClassVar = {"pose": (3,), "covariance": (3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +177,7 @@ class JointState(_Stamped):
     position: Float[np.ndarray, " n"]
     velocity: Float[np.ndarray, " m"]
     effort: Float[np.ndarray, " k"]
-    _shapes = {"position": (None,), "velocity": (None,), "effort": (None,)}
+    _shapes: ClassVar = {"position": (None,), "velocity": (None,), "effort": (None,)}
 
 
 Wheels = WheelSpeeds | WheelTicks | Odometry

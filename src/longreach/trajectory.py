@@ -9,38 +9,49 @@ from jaxtyping import Bool, Float
 from longreach.errors import LongreachError
 from longreach.geometry import se2
 
+# The shortest step of a repaired stretch, as a part of its even step. Measured on the Intel log: with 0.5 the robot's
+# speed there stays below 1.7 m/s; with 0.1 it reaches 7 m/s, without it 700 m/s. Larger values move stamps further.
+_STEP = 0.5
+
+
+def _repair(stretch: np.ndarray, before: float, after: float) -> np.ndarray:
+    """Return a clock for stamps that are out of order, all of them between the good stamps `before` and `after`.
+
+    It is the least-squares fit to the stamps (isotonic regression: Ayer et al. 1955) whose steps, those to the two good
+    stamps included, are at least `_STEP` of even ones. With `step` taken off every row that is the plain regression.
+    """
+    from scipy.optimize import isotonic_regression  # here, for it takes long to import and few recordings need it
+
+    n = len(stretch)
+    low = before if np.isfinite(before) else stretch.min()
+    high = after if np.isfinite(after) else stretch.max()
+    step = _STEP * ((high - low) or 1.0) / (n + 1)  # all equal and nothing around them: 1 s
+    ramp = step * np.arange(n)
+    wanted = stretch - low - ramp  # from low on, for stamps since 1970 leave few digits behind the point
+    fit = np.clip(isotonic_regression(wanted).x, before + step - low, after - step - ramp[-1] - low)
+    return np.where(fit == wanted, stretch, low + fit + ramp)
+
 
 def monotone_clock(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Return a strictly increasing clock [s] as near as can be to stamps that may run backwards.
 
-    The order of the stamps is the order of motion. Stamps that increase are kept bit for bit; each run of stamps that
-    are out of order or equal is replaced by its isotonic regression (the least-squares nondecreasing fit, pool adjacent
-    violators: Ayer et al. 1955), spread evenly inside the room that its neighbours leave.
+    The order of the stamps is the order of motion. A stamp later than all before it and earlier than all after it is
+    kept bit for bit; each stretch of others is fitted into the room between the two good stamps around it.
     """
     stamps = np.asarray(stamps, dtype=float)
-    if len(stamps) < 2 or np.all(np.diff(stamps) > 0):
-        return stamps.copy()
-    level: list[float] = []
-    size: list[int] = []
-    for stamp in stamps.tolist():
-        level.append(stamp)
-        size.append(1)
-        while len(level) > 1 and level[-2] >= level[-1]:
-            n = size[-2] + size[-1]
-            level[-2:] = [(level[-2] * size[-2] + level[-1] * size[-1]) / n]
-            size[-2:] = [n]
-    clock = np.empty_like(stamps)
-    k = 0
-    for i, n in enumerate(size):
-        if n == 1:
-            clock[k] = stamps[k]
-        else:
-            # half the way to either neighbour; a block at an end takes the other side's room, alone it takes 1 s
-            before = level[i] - level[i - 1] if i > 0 else (level[i + 1] - level[i] if i + 1 < len(level) else 1.0)
-            after = level[i + 1] - level[i] if i + 1 < len(level) else before
-            half = 0.5 * min(before, after)
-            clock[k : k + n] = level[i] + half * (2 * np.arange(n) + 1 - n) / n
-        k += n
+    if not np.all(np.isfinite(stamps)):
+        raise LongreachError("Stamps must be finite numbers of seconds to make a clock of them.")
+    clock = stamps.copy()
+    if np.all(np.diff(stamps) > 0):
+        return clock
+    latest_before = np.maximum.accumulate(np.concatenate(([-np.inf], stamps[:-1])))
+    earliest_after = np.minimum.accumulate(np.concatenate(([np.inf], stamps[:0:-1])))[::-1]
+    astray = (stamps <= latest_before) | (stamps >= earliest_after)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], astray, [False]))))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        before = stamps[start - 1] if start > 0 else -np.inf
+        after = stamps[stop] if stop < len(stamps) else np.inf
+        clock[start:stop] = _repair(stamps[start:stop], before, after)
     if not np.all(np.diff(clock) > 0):
         raise LongreachError("The stamps are too close together to be put in order.")
     return clock
@@ -50,7 +61,7 @@ def monotone_clock(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 class PoseTrajectory:
     """Poses of the base [m, m, rad] in the order of motion.
 
-    stamps: as recorded [s]; they may run backwards where a recording's do. clock: strictly increasing [s], what time
+    stamps: as recorded [s]; they may run backwards where a recording's do. clock: never backwards [s], what time
     differences and interpolation use (default: `monotone_clock(stamps)`). covariance: of ξ = log(mean⁻¹ · truth),
     order x y θ in the body frame. has_heading: False where only positions are known (θ is then 0 and means nothing).
     """
@@ -75,6 +86,10 @@ class PoseTrajectory:
                 raise LongreachError(f"A trajectory's {name} must be finite.")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        if np.any(np.diff(self.clock) < 0):
+            raise LongreachError(
+                "A trajectory's clock must not run backwards; leave it out to have the stamps repaired."
+            )
 
     def __len__(self) -> int:
         return len(self.stamps)

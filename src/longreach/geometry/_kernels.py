@@ -16,7 +16,7 @@ _SMALL = 1e-2  # [rad]; the series below are good to 1e-17 there
 def wrap(angle):
     """Angle in (-π, π]."""
     wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
-    return math.pi if wrapped == -math.pi else wrapped
+    return math.pi if wrapped <= -math.pi else wrapped  # below it by rounding, too
 
 
 @kernel
@@ -72,9 +72,7 @@ def _right_jacobian_terms(t):
     """(t - sin t)/t² and (1 - cos t)/t², the entries of the last column."""
     if abs(t) < _SMALL:
         t2 = t * t
-        return t / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (
-            1.0 - t2 / 30.0 * (1.0 - t2 / 56.0)
-        )
+        return t / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0)), 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0))
     return (t - math.sin(t)) / (t * t), (1.0 - math.cos(t)) / (t * t)
 
 

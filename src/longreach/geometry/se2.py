@@ -65,7 +65,9 @@ def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return log(between(a, b))
 
 
-def interpolate(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"], fraction: Float[np.ndarray, " n"]):
+def interpolate(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"], fraction: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
     """Return a · exp(fraction · log(a⁻¹ b)), the geodesic; fraction 0 gives a and 1 gives b."""
     return retract(a, fraction[..., None] * difference(a, b))
 

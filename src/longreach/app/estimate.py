@@ -1,0 +1,180 @@
+"""The main path: a recording in, a fused trajectory out. `estimate` reads like the method section of a paper."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.app.configuration import EstimateConfig, Source
+from longreach.app.evaluate import Metrics, Relations, evaluate
+from longreach.app.start import start_pose
+from longreach.errors import EstimationError
+from longreach.estimation import fusion, offline
+from longreach.estimation.fusion import Anchor, Correction, Event
+from longreach.estimation.observation import PlanarImu, planar_imu
+from longreach.measurement import Recording, RelativePoseMeasurement
+from longreach.odometry.chain import chain
+from longreach.odometry.range_flow import ScanMatch, lidar_odometry
+from longreach.odometry.wheel import wheel_odometry
+from longreach.robot.description import RobotDescription
+from longreach.trajectory import PoseTrajectory
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What an estimation gives: trajectories by name, the matches and corrections behind them, and how good they are.
+
+    trajectories: `fused`, and as far as there are such sensors `wheels` (raw integration), `lidar` (LIDAR alone) and
+    `truth`. remarks: what was repaired, left out or refused, a sentence each.
+    """
+
+    recording: Recording
+    robot: RobotDescription
+    config: EstimateConfig
+    trajectories: Mapping[str, PoseTrajectory]
+    matches: Sequence[ScanMatch]
+    corrections: Sequence[Correction]
+    metrics: Metrics
+    remarks: tuple[str, ...]
+
+
+def estimate(
+    recording: Recording,
+    robot: RobotDescription,
+    config: EstimateConfig | None = None,
+    *,
+    truth: PoseTrajectory | None = None,
+    relations: Relations | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate where the base went, and how well that agrees with the truth where there is one.
+
+    The truth is used for evaluation alone. Estimates start at the identity, or where absolute fixes put them.
+
+    Arguments:
+        config: None takes the defaults. truth: None takes the recording's own, where it has one.
+        relations: stamps_1 (m,), stamps_2 (m,) [s] as recorded and relative poses (m, 3) [m, m, rad].
+        progress: called with the name of a stage and how far it is, 0 to 1.
+
+    Raises:
+        EstimationError: a source that was asked for is not in the recording, or nothing is there to fuse.
+    """
+    config = config or EstimateConfig()
+    tell = progress or (lambda stage, fraction: None)
+    truth = truth if truth is not None else recording.truth
+    sources = _sources(recording, config)
+
+    wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
+    mount = sensor_mount(recording, robot, "lidar")
+    count = max(len(recording.scans), 1)
+    matches = lidar_odometry(
+        recording.scans, mount, config.range_flow, lambda i: tell("LIDAR odometry", i / count)
+    )  # (3.24)–(3.26)
+    found = tuple(match.measurement for match in matches if match.measurement is not None)
+    imu = _imu(recording, robot) if "imu" in sources else ()
+    fixes = recording.fixes if "fixes" in sources else ()
+
+    dead_reckoning = {
+        "wheels": chain(wheels.measurements, [w.stamp for w in recording.wheels]),
+        "lidar": chain(found, [scan.stamp for scan in recording.scans]),
+    }
+    measured: list[Event] = [*imu, *fixes]
+    for source, relative in (("wheels", wheels.measurements), ("lidar", found)):
+        if source in sources:
+            measured += _anchored(relative)
+    if not measured:
+        raise EstimationError("There is nothing to fuse: the recording has none of the sources asked for.")
+    events = fusion.in_order(measured)
+
+    pose, covariance = start_pose(fixes, [dead_reckoning[s] for s in ("lidar", "wheels") if s in sources])
+    state = fusion.init(events[0].stamp, pose, covariance, config.filter_for(robot, recording))
+    state, fused, corrections = offline.run(
+        state, events, lambda i: tell("fusion", i / len(events))
+    )  # (3.27)–(3.29)
+
+    trajectories = {"fused": _at_rows(fused, recording, sources)}
+    trajectories |= {name: path for name, path in dead_reckoning.items() if len(path) > 1}
+    trajectories = {name: _as_recorded(path, recording) for name, path in trajectories.items()}
+    if truth is not None:
+        trajectories["truth"] = truth
+    tell("evaluation", 0.0)
+    metrics = evaluate(trajectories, relations, matches, corrections, config.evaluation)
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state))
+    return Estimate(recording, robot, config, trajectories, matches, corrections, metrics, remarks)
+
+
+def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
+    """Return T_base_sensor: from the robot's description, else from the recording's own tf, else the identity."""
+    described = getattr(robot, sensor)
+    if described is not None and described.mount is not None:
+        return described.mount.matrix()
+    records = {"lidar": recording.scans, "imu": recording.imu}[sensor]
+    frame = records[0].frame if records else ""
+    return np.asarray(recording.mounts.get(frame, np.eye(4)))
+
+
+def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]:
+    there: dict[Source, bool] = {
+        "wheels": len(recording.wheels) > 1,
+        "lidar": len(recording.scans) > 1,
+        "imu": len(recording.imu) > 0,
+        "fixes": len(recording.fixes) > 0,
+    }
+    if config.sources is None:
+        return tuple(source for source in there if there[source])
+    missing = [source for source in config.sources if not there[source]]
+    if missing:
+        have = ", ".join(source for source in there if there[source]) or "nothing that can be fused"
+        raise EstimationError(f"The recording has no {' and no '.join(missing)} to fuse; it has {have}.")
+    return config.sources
+
+
+def _anchored(measurements: Sequence[RelativePoseMeasurement]) -> list[Event]:
+    """Have the filter remember the pose that each measurement refers to."""
+    events: list[Event] = []
+    for measurement in measurements:
+        events += (Anchor(measurement.stamp_reference, measurement.source), measurement)
+    return events
+
+
+def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]:
+    if robot.imu is None:
+        raise EstimationError(f"The recording has an IMU, but the description of {robot.name} does not say what it is.")
+    T = sensor_mount(recording, robot, "imu")
+    noise = robot.imu
+    return tuple(
+        planar_imu(imu, T, noise.gyro_deviation**2, noise.acceleration_deviation**2) for imu in recording.imu
+    )
+
+
+def _at_rows(fused: PoseTrajectory, recording: Recording, sources: Sequence[Source]) -> PoseTrajectory:
+    """Keep the rows at wheel and scan stamps; where neither is fused, all of them."""
+    stamps = {scan.stamp for scan in recording.scans} | {wheel.stamp for wheel in recording.wheels}
+    keep = np.array([stamp in stamps for stamp in fused.clock.tolist()])
+    if not keep.any():
+        return fused
+    assert fused.covariance is not None
+    return PoseTrajectory(fused.stamps[keep], fused.poses[keep], fused.covariance[keep], fused.clock[keep])
+
+
+def _as_recorded(path: PoseTrajectory, recording: Recording) -> PoseTrajectory:
+    return PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
+
+
+def _remarks(breaks: int, matches: Sequence[ScanMatch], state: fusion.FusionState) -> list[str]:
+    remarks = []
+    if breaks:
+        remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
+    failed = [match for match in matches if match.measurement is None]
+    if failed:
+        remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
+    for source, tally in state.counters.items():
+        if tally.gated or tally.refused or tally.inflated:
+            remarks.append(
+                f"{source}: of {tally.used + tally.gated + tally.refused} measurements {tally.inflated} were taken with "
+                f"a larger covariance, {tally.gated} gated and {tally.refused} refused."
+            )
+    return remarks

@@ -1,0 +1,50 @@
+"""longreach estimate: where the base went, from its wheels, its LIDAR, its IMU and all of them fused."""
+
+from pathlib import Path
+
+import typer
+
+from longreach.cli.progress import shown_progress
+from longreach.cli.tables import print_metrics
+
+
+def command(
+    recording: Path = typer.Argument(help="A .bag, .mcap, ROS 2 folder, CARMEN log or text folder."),
+    robot: str = typer.Option(..., help="A shipped description (thing, intel, aces, polimi, …) or a YAML file."),
+    out: Path = typer.Option(..., help="Folder for the results; made if it is not there."),
+    config: Path | None = typer.Option(None, help="YAML file that changes defaults; see config.yaml of any run."),
+    truth: str | None = typer.Option(None, help="Reference: a topic of the recording, or a file (TUM, CARMEN, text)."),
+    relations: Path | None = typer.Option(None, help="Relative reference poses: t1 t2 x y z roll pitch yaw a line."),
+    sources: str | None = typer.Option(None, help="What to fuse, of wheels,lidar,imu,fixes (default: all there are)."),
+    fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
+    fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y [m]."),
+    fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds [s]."),
+) -> None:
+    """Estimate a recording and write trajectories, covariances, metrics, figures and a report into a folder."""
+    from longreach.app.estimate import estimate
+    from longreach.app.inputs import open_run
+    from longreach.app.outputs import write_estimate
+    from longreach.app.warmup import warm_up
+
+    with shown_progress() as progress:
+        warm_up(progress)
+        run = open_run(
+            recording,
+            robot,
+            config=config,
+            truth=truth,
+            relations=relations,
+            sources=sources,
+            fixes=fixes,
+            fix_sigma=fix_sigma,
+            fix_period=fix_period,
+            progress=progress,
+        )
+        result = estimate(
+            run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress
+        )
+        write_estimate(result, out, progress)
+    print_metrics(result.metrics)
+    for remark in result.remarks:
+        typer.echo(f"note: {remark}")
+    typer.echo(f"Everything is in {out}; open {out / 'report.html'}.")

@@ -1,0 +1,61 @@
+"""The command `longreach`: one verb a file; what a verb needs is imported when it runs, so that --help stays quick."""
+
+import functools
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import typer
+
+from longreach.cli import demo, estimate, evaluate, info, warmup
+from longreach.errors import LongreachError
+
+app = typer.Typer(
+    name="longreach",
+    help="Keep a mobile manipulator's hand where you think it is, over long trajectories.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_options = {"verbose": False}
+
+
+@app.callback()
+def _read_options(verbose: bool = typer.Option(False, "--verbose", help="Show the traceback of an error.")) -> None:
+    _options["verbose"] = verbose
+
+
+def _fail(error: BaseException, sentence: str, code: int) -> typer.Exit:
+    if _options["verbose"]:
+        traceback.print_exception(error)
+    print(f"longreach: {sentence}", file=sys.stderr)
+    return typer.Exit(code)
+
+
+def _answers_in_a_sentence(verb: Callable[..., None]) -> Callable[..., None]:
+    """Turn what a user can mend into one sentence and exit code 2, an interrupt into 130."""
+
+    @functools.wraps(verb)
+    def command(*args: Any, **kwargs: Any) -> None:
+        try:
+            verb(*args, **kwargs)
+        except LongreachError as error:
+            raise _fail(error, str(error), 2) from error
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise _fail(error, f"{error.filename}: {reason}." if error.filename else f"{reason}.", 2) from error
+        except KeyboardInterrupt as error:
+            raise _fail(error, "interrupted; nothing half-written is left behind.", 130) from error
+
+    return command
+
+
+for _module in (info, estimate, evaluate, warmup, demo):
+    app.command(name=_module.__name__.rpartition(".")[2])(_answers_in_a_sentence(_module.command))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; --verbose may stand anywhere."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    app([a for a in given if a == "--verbose"][:1] + [a for a in given if a != "--verbose"])

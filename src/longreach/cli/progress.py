@@ -1,0 +1,37 @@
+"""Progress on the terminal: a bar a stage, on standard error; only the stages' names where that is no terminal."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def shown_progress() -> Iterator[Callable[[str, float], None]]:
+    """Yield a function that shows how far a named stage is, from 0 to 1."""
+    if not sys.stderr.isatty():
+        seen: set[str] = set()
+
+        def tell(stage: str, fraction: float) -> None:
+            if stage not in seen:
+                seen.add(stage)
+                print(f"{stage} …", file=sys.stderr, flush=True)
+
+        yield tell
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, object] = {}
+
+        def show(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, completed=1.0)  # type: ignore[arg-type]
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0))  # type: ignore[arg-type]
+
+        yield show
+        for task in tasks.values():
+            bars.update(task, completed=1.0)  # type: ignore[arg-type]

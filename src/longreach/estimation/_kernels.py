@@ -1,0 +1,287 @@
+"""Compiled extended Kalman filter: Singer motion, gated correction in Joseph form, cloning of poses.
+
+Layout of the mean (10 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, then m anchors x y θ. P has the
+same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth). Measurements have 1 to 3 rows, so the small
+systems are solved by a Cholesky written out here.
+"""
+
+import math
+
+import numpy as np
+
+from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
+from longreach.kernels import kernel
+
+BODY = 10  # error states before the anchors
+
+
+@kernel
+def singer(dt, tau):
+    """Chain (displacement, v, a) of unit stationary variance over dt: f, g, e of Φ and the six entries of Q.
+
+    Φ = [[1, dt, f], [0, 1, g], [0, 0, e]]. The closed forms cancel for short dt (Q[0, 0] goes as dt⁵), hence series.
+    """
+    u = dt / tau
+    e, g = math.exp(-u), -math.expm1(-u)
+    s33 = -0.5 * math.expm1(-2.0 * u)
+    if u < 1.0:
+        f, s11, s13, s22 = 0.0, 0.0, 0.0, 0.0
+        term, two = -u, 2.0  # (-u)^k / k! and 2^k
+        for k in range(2, 25):
+            term *= -u / k
+            two *= 2.0
+            part = term * u / (k + 1)
+            f += term
+            s22 += part * (two - 2.0)
+            s13 += part * (two - k - 1.0)
+            if k > 3:
+                s11 += part * (two - 2.0 * k - 2.0)
+    else:
+        f = u - g
+        s22 = u - 2.0 * g + s33
+        s13 = f * g - s22
+        s11 = s33 + u + u * u * u / 3.0 - u * u - 2.0 * u * e
+    t2 = tau * tau
+    q = (2.0 * t2 * t2 * s11, t2 * tau * f * f, 2.0 * t2 * s13, 2.0 * t2 * s22, tau * g * g, 2.0 * s33)
+    return t2 * f, tau * g, e, q
+
+
+@kernel
+def transition(mean, dt, tau, variances, bias_walk, F, Q):
+    """Motion model (3.27a): the mean after dt; fills F (n, n) and Q (n, n)."""
+    f, g, e, q = singer(dt, tau)
+    d0, d1, d2 = dt * mean[3] + f * mean[6], dt * mean[4] + f * mean[7], dt * mean[5] + f * mean[8]
+    J, A = np.empty((3, 3)), np.empty((3, 3))
+    se2_right_jacobian(d0, d1, d2, J)
+    x, y, t = se2_exp(-d0, -d1, -d2)
+    se2_adjoint(x, y, t, A)
+    F[:] = 0.0
+    Q[:] = 0.0
+    for i in range(9, len(mean)):
+        F[i, i] = 1.0
+    for i in range(3):
+        for k in range(3):
+            F[i, k], F[i, 3 + k], F[i, 6 + k] = A[i, k], dt * J[i, k], f * J[i, k]
+            Q[i, 3 + k] = Q[3 + k, i] = J[i, k] * q[1] * variances[k]
+            Q[i, 6 + k] = Q[6 + k, i] = J[i, k] * q[2] * variances[k]
+            for l in range(3):
+                Q[i, k] += J[i, l] * J[k, l] * q[0] * variances[l]
+        F[3 + i, 3 + i], F[3 + i, 6 + i], F[6 + i, 6 + i] = 1.0, g, e
+        Q[3 + i, 3 + i], Q[6 + i, 6 + i] = q[3] * variances[i], q[5] * variances[i]
+        Q[3 + i, 6 + i] = Q[6 + i, 3 + i] = q[4] * variances[i]
+    Q[9, 9] = bias_walk * dt
+    new = mean.copy()
+    x, y, t = se2_exp(d0, d1, d2)
+    new[0], new[1], new[2] = se2_compose(mean[0], mean[1], mean[2], x, y, t)
+    for i in range(3):
+        new[3 + i] = mean[3 + i] + g * mean[6 + i]
+        new[6 + i] = e * mean[6 + i]
+    return new
+
+
+@kernel
+def _multiply(M, B, out):
+    """M B, quick where M is mostly zeros."""
+    n = len(M)
+    out[:] = 0.0
+    for i in range(n):
+        for k in range(n):
+            m = M[i, k]
+            if m != 0.0:
+                for j in range(n):
+                    out[i, j] += m * B[k, j]
+
+
+@kernel
+def congruence(M, P):
+    """M P Mᵀ, exactly symmetric."""
+    n = len(M)
+    half, out = np.empty((n, n)), np.empty((n, n))
+    _multiply(M, P, half)
+    _multiply(M, half.T.copy(), out)
+    for i in range(n):
+        for j in range(i):
+            out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
+    return out
+
+
+@kernel
+def predict(mean, P, dt, tau, variances, bias_walk):
+    n = len(mean)
+    F, Q = np.empty((n, n)), np.empty((n, n))
+    new = transition(mean, dt, tau, variances, bias_walk, F, Q)  # (3.28a)
+    return new, congruence(F, P) + Q  # (3.28b)
+
+
+@kernel
+def _cholesky(S, L):
+    for i in range(len(S)):
+        for j in range(i + 1):
+            total = S[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total > 0.0 and total < np.inf:
+                L[i, i] = math.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@kernel
+def _solve(L, b, x):
+    """L Lᵀ x = b."""
+    n = len(b)
+    for i in range(n):
+        total = b[i]
+        for k in range(i):
+            total -= L[i, k] * x[k]
+        x[i] = total / L[i, i]
+    for i in range(n - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, n):
+            total -= L[k, i] * x[k]
+        x[i] = total / L[i, i]
+
+
+@kernel
+def _inflation(A, R, r, gate, L):
+    """Scale s of R at which the NIS rᵀ (A + s R)⁻¹ r falls to the gate, L the factor there; 0 where there is none.
+
+    1/NIS is concave and grows with s, so Newton's method from s = 1 climbs to the root without overshooting it.
+    """
+    x = np.empty(len(r))
+    s = 1.0
+    for _ in range(60):
+        if not _cholesky(A + s * R, L):
+            return 0.0
+        _solve(L, r, x)
+        nis = np.sum(r * x)
+        if nis <= gate * (1.0 + 1e-9):
+            return s
+        slope = 0.0
+        for i in range(len(r)):
+            for j in range(len(r)):
+                slope += x[i] * R[i, j] * x[j]
+        if not slope > 0.0:
+            return 0.0
+        s += (nis * nis / gate - nis) / slope
+    return 0.0
+
+
+@kernel
+def _retract_pose(i, dx, mean, G):
+    """Move the pose at i of the mean; its new error is J_r(dx) times what is left of the old one."""
+    x, y, t = se2_exp(dx[i], dx[i + 1], dx[i + 2])
+    mean[i], mean[i + 1], mean[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], x, y, t)
+    se2_right_jacobian(dx[i], dx[i + 1], dx[i + 2], G[i : i + 3, i : i + 3])
+
+
+@kernel
+def retract(mean, dx, G):
+    """Move by an error state; fills G (n, n), from the errors about the old mean to those about the new."""
+    n = len(mean)
+    G[:] = 0.0
+    for i in range(n):
+        G[i, i] = 1.0
+    out = mean.copy()
+    _retract_pose(0, dx, out, G)
+    for i in range(3, BODY):
+        out[i] += dx[i]
+    for i in range(BODY, n, 3):
+        _retract_pose(i, dx, out, G)
+    return out
+
+
+@kernel
+def _is_finite(mean, P):
+    total = 0.0
+    for i in range(len(mean)):
+        total += 0.0 * mean[i]
+        for j in range(len(mean)):
+            total += 0.0 * P[i, j]
+    return total == 0.0
+
+
+@kernel
+def _innovation_parts(P, H):
+    """P Hᵀ (n, k) and H P Hᵀ (k, k), quick where H is mostly zeros."""
+    k, n = H.shape
+    PHt, A = np.zeros((n, k)), np.zeros((k, k))
+    for b in range(k):
+        for j in range(n):
+            h = H[b, j]
+            if h != 0.0:
+                for i in range(n):
+                    PHt[i, b] += P[i, j] * h
+    for a in range(k):
+        for b in range(k):
+            for j in range(n):
+                A[a, b] += 0.5 * (H[a, j] * PHt[j, b] + H[b, j] * PHt[j, a])
+    return PHt, A
+
+
+@kernel
+def _joseph(P, K, H, R, scale):
+    """(I - K H) P (I - K H)ᵀ + K (scale R) Kᵀ."""
+    n, k = K.shape
+    M = np.zeros((n, n))
+    for i in range(n):
+        M[i, i] = 1.0
+        for a in range(k):
+            for j in range(n):
+                M[i, j] -= K[i, a] * H[a, j]
+    new = congruence(M, P)
+    for a in range(k):
+        for b in range(k):
+            noise = 0.5 * scale * (R[a, b] + R[b, a])
+            if noise != 0.0:
+                for i in range(n):
+                    for j in range(n):
+                        new[i, j] += K[i, a] * noise * K[j, b]
+    return new
+
+
+@kernel
+def correct(mean, P, r, H, R, gate, inflate):
+    """Take one innovation r (k,): the new mean, the new P, NIS and the scale put on R (0: not taken).
+
+    NIS is infinite where its covariance is not positive definite or the result would not be finite.
+    """
+    n, k = len(mean), len(r)
+    PHt, A = _innovation_parts(P, H)
+    L, x = np.zeros((k, k)), np.empty(k)
+    if not _cholesky(A + R, L):
+        return mean.copy(), P.copy(), np.inf, 0.0
+    _solve(L, r, x)
+    nis, scale = np.sum(r * x), 1.0
+    if nis > gate:
+        scale = _inflation(A, R, r, gate, L) if inflate else 0.0
+        if scale == 0.0:
+            return mean.copy(), P.copy(), nis, 0.0
+    K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
+    for i in range(n):  # (3.29c)
+        _solve(L, PHt[i], K[i])
+        for a in range(k):
+            dx[i] += K[i, a] * r[a]
+    moved = retract(mean, dx, G)  # (3.29a)
+    new = congruence(G, _joseph(P, K, H, R, scale))  # (3.29b)
+    if not _is_finite(moved, new):
+        return mean.copy(), P.copy(), np.inf, 0.0
+    return moved, new, nis, scale
+
+
+@kernel
+def clone(mean, P, anchor):
+    """Make the anchor of that number (the next one: a new anchor) a copy of the pose, correlations and all."""
+    i = BODY + 3 * anchor
+    n = max(len(mean), i + 3)
+    source = np.arange(n)
+    source[i : i + 3] = np.arange(3)
+    new, covariance = np.empty(n), np.empty((n, n))
+    for a in range(n):
+        new[a] = mean[source[a]]
+        for b in range(n):
+            covariance[a, b] = P[source[a], source[b]]
+    return new, covariance

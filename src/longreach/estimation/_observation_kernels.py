@@ -1,0 +1,123 @@
+"""Compiled observation models (3.27b): innovation z - h(mean), Jacobian H over the errors, covariance R.
+
+They write into the arrays z and R that they are given. Layout of the mean: see `_kernels`.
+"""
+
+import math
+
+import numpy as np
+
+from longreach.estimation._kernels import BODY
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_log, se2_right_jacobian, wrap
+from longreach.kernels import kernel
+
+
+@kernel
+def _select_rows(r, H, R):
+    """Leave out the rows of infinite variance."""
+    k = len(r)
+    rows = np.empty(k, dtype=np.int64)
+    m = 0
+    for i in range(k):
+        if R[i, i] != np.inf:
+            rows[m] = i
+            m += 1
+    if m == k:
+        return r, H, R
+    r2, H2, R2 = np.empty(m), np.empty((m, H.shape[1])), np.empty((m, m))
+    for i in range(m):
+        r2[i] = r[rows[i]]
+        H2[i] = H[rows[i]]
+        for j in range(m):
+            R2[i, j] = R[rows[i], rows[j]]
+    return r2, H2, R2
+
+
+@kernel
+def observe_twist(mean, z, R):
+    H = np.zeros((3, len(mean)))
+    for i in range(3):
+        z[i] -= mean[3 + i]
+        H[i, 3 + i] = 1.0
+    return _select_rows(z, H, R)
+
+
+@kernel
+def observe_pose(mean, z, R):
+    """Innovation z - X in the world's axes; with the heading measured, linearised where it vanishes: at X · exp(d)."""
+    n = len(mean)
+    H = np.zeros((3, n))
+    if R[0, 0] == np.inf or R[1, 1] == np.inf or R[2, 2] == np.inf:
+        c, s = math.cos(mean[2]), math.sin(mean[2])
+        H[0, 0], H[0, 1], H[1, 0], H[1, 1], H[2, 2] = c, -s, s, c, 1.0
+        z[0] -= mean[0]
+        z[1] -= mean[1]
+        z[2] = wrap(z[2] - mean[2])
+        return _select_rows(z, H, R)
+    c, s = math.cos(z[2]), math.sin(z[2])
+    x, y, t = se2_between(mean[0], mean[1], mean[2], z[0], z[1], z[2])
+    d0, d1, d2 = se2_log(x, y, t)
+    se2_right_jacobian(d0, d1, d2, H[:, :3])
+    for j in range(3):
+        H[0, j], H[1, j] = c * H[0, j] - s * H[1, j], s * H[0, j] + c * H[1, j]
+    z[0], z[1], z[2] = c * d0 - s * d1, s * d0 + c * d1, d2
+    return z, H, R
+
+
+@kernel
+def observe_relative_pose(mean, z, R, anchor):
+    """Innovation -e, e = log(z⁻¹ · anchor⁻¹ · X), linearised where it vanishes: at X · exp(-e)."""
+    k = BODY + 3 * anchor
+    x, y, t = se2_between(mean[k], mean[k + 1], mean[k + 2], mean[0], mean[1], mean[2])
+    if R[2, 2] == np.inf:
+        z[2] = t
+    e0, e1, e2 = se2_between(z[0], z[1], z[2], x, y, t)
+    e0, e1, e2 = se2_log(e0, e1, e2)
+    x, y, t = se2_between(z[0], z[1], z[2], 0.0, 0.0, 0.0)
+    H = np.zeros((3, len(mean)))
+    se2_right_jacobian(-e0, -e1, -e2, H[:, :3])
+    se2_adjoint(x, y, t, H[:, k : k + 3])
+    H[:, k : k + 3] *= -1.0
+    z[0], z[1], z[2] = -e0, -e1, -e2
+    return _select_rows(z, H, R)
+
+
+@kernel
+def observe_imu(mean, z, R, px, py):
+    """Rate, then the acceleration v̇ + ω×v + ω̇×p + ω×(ω×p) of the point p."""
+    vx, vy, w, ax, ay, alpha, bias = mean[3], mean[4], mean[5], mean[6], mean[7], mean[8], mean[9]
+    H = np.zeros((3, len(mean)))
+    H[0, 5] = H[0, 9] = H[1, 6] = H[2, 7] = 1.0
+    H[1, 4], H[1, 5], H[1, 8] = -w, -vy - 2.0 * w * px, -py
+    H[2, 3], H[2, 5], H[2, 8] = w, vx - 2.0 * w * py, px
+    z[0] -= w + bias
+    z[1] -= ax - w * vy - alpha * py - w * w * px
+    z[2] -= ay + w * vx + alpha * px - w * w * py
+    return _select_rows(z, H, R)
+
+
+@kernel
+def fault(r, R):
+    """0: usable, 1: not finite or absurdly large, 2: R is not a covariance, 3: nothing measured."""
+    k = len(r)
+    if k == 0:
+        return 3
+    for i in range(k):
+        if not abs(r[i]) < 1e9:
+            return 1
+        for j in range(k):
+            if not math.isfinite(R[i, j]):
+                return 1
+    for i in range(k):  # every principal minor, of the correlations where they exist, is nonnegative
+        if R[i, i] < 0.0:
+            return 2
+        for j in range(i):
+            size = math.sqrt(R[i, i]) * math.sqrt(R[j, j])
+            if abs(R[i, j] - R[j, i]) > 1e-6 * size or abs(R[i, j]) > (1.0 + 1e-9) * size:
+                return 2
+    if k == 3 and R[0, 0] > 0.0 and R[1, 1] > 0.0 and R[2, 2] > 0.0:
+        d0, d1, d2 = math.sqrt(R[0, 0]), math.sqrt(R[1, 1]), math.sqrt(R[2, 2])
+        a, b, c = R[1, 0] / d1 / d0, R[2, 0] / d2 / d0, R[2, 1] / d2 / d1
+        if 1.0 + 2.0 * a * b * c - a * a - b * b - c * c < -1e-9:
+            return 2
+    return 0

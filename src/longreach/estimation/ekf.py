@@ -1,0 +1,65 @@
+"""The two steps of the extended Kalman filter (3.28), (3.29) on plain arrays; `fusion` puts measurements in order.
+
+The mean (10 + 3m,) is pose, twist, acceleration, gyro bias and m anchors: past poses kept in the state, so that a pose
+measured relative to one of them is judged with the right correlation (stochastic cloning: Roumeliotis & Burdick 2002).
+Ours differs from (3.29) in what a pose needs: corrections are put on by X · exp(ξ), after which P is carried to the
+tangent space of the new mean by J_r(ξ); P is corrected in Joseph's form, which rounding cannot make indefinite.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.estimation import _kernels
+from longreach.estimation.motion import MotionModel
+
+Mean = Float[np.ndarray, " n"]
+Covariance = Float[np.ndarray, "n n"]
+
+
+class Corrected(NamedTuple):
+    """New mean and covariance, NIS = rᵀ S⁻¹ r with the R given, and the factor that was put on R (0: not taken).
+
+    NIS is infinite where S is not positive definite or the result would not be finite.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    nis: float
+    scale: float
+
+
+def _read_only(mean: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    mean.flags.writeable = False
+    P.flags.writeable = False
+    return mean, P
+
+
+def predict(model: MotionModel, mean: Mean, P: Covariance, dt: float) -> tuple[Mean, Covariance]:
+    """Predict dt ≥ 0 [s] ahead, (3.28)."""
+    return _read_only(*_kernels.predict(mean, P, dt, model.time_constant, model.acceleration_variance, model.bias_walk))
+
+
+def correct(
+    mean: Mean,
+    P: Covariance,
+    innovation: Float[np.ndarray, " k"],
+    H: Float[np.ndarray, "k n"],
+    R: Float[np.ndarray, "k k"],
+    gate: float = math.inf,
+    inflate: bool = False,
+) -> Corrected:
+    """Correct by an innovation z - h(mean), (3.29), unless its NIS is above the gate.
+
+    With `inflate`, one above the gate is taken with R scaled up until its NIS equals the gate, so that what it can
+    move is bounded: the treatment of a heavy tail.
+    """
+    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate)
+    return Corrected(*_read_only(new, covariance), nis, scale)
+
+
+def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
+    """Remember the pose as the anchor of that number, in place of what it held; the next free number adds one."""
+    return _read_only(*_kernels.clone(mean, P, anchor))

@@ -1,0 +1,82 @@
+"""What can be set in the filter, with its defaults."""
+
+import math
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.estimation.motion import MotionModel
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Axes = tuple[_Positive, _Positive, _Positive]
+
+
+class FilterConfig(BaseModel):
+    """Settings of the filter; axes are in the order x, y, θ of the base."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    acceleration_deviation: _Axes = Field(
+        default=(1.0, 1.0, 2.0),
+        description="how hard the base accelerates, standard deviation [m/s², m/s², rad/s²]; "
+        "the order of an indoor base's limits, give the robot's own where they are known",
+    )
+    acceleration_time_constant: _Positive = Field(
+        default=0.5,
+        description="how long it keeps an acceleration [s]; a start or a stop of such a base takes about that",
+    )
+    gyro_bias_walk: float = Field(
+        default=1e-4,
+        ge=0,
+        allow_inf_nan=False,
+        description="growth of the gyro's bias [rad/s/√s]; usual for MEMS gyros",
+    )
+    initial_twist_deviation: _Axes = Field(
+        default=(1.0, 1.0, 1.0),
+        description="what is known of the twist at the start [m/s, m/s, rad/s]; a base's top speed",
+    )
+    initial_gyro_bias_deviation: float = Field(
+        default=0.02,
+        ge=0,
+        allow_inf_nan=False,
+        description="the gyro's bias at the start [rad/s]; MEMS data sheets: 0.5-1 °/s",
+    )
+    gate_probability: float = Field(
+        default=1.0 - 1e-4, gt=0, lt=1, description="share of good measurements that the χ² gate lets through; ours"
+    )
+    gate_mode: Literal["reject", "inflate", "none"] = Field(
+        default="reject",
+        description="beyond the gate: leave out, take with R scaled until it passes, or take as it is; ours",
+    )
+    gate_patience: int = Field(
+        default=5,
+        ge=0,
+        description="measurements of one source left out in a row before the next is taken, scaled; ours",
+    )
+    history: float = Field(
+        default=2.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="how late a measurement may come [s]; 0 where all are sorted; ours",
+    )
+    longest_prediction: float = Field(
+        default=60.0, gt=0, description="a stamp further ahead than this is not believed at once [s]; ours"
+    )
+
+    @cached_property
+    def motion(self) -> MotionModel:
+        """The motion model of these settings."""
+        variance = np.square(self.acceleration_deviation)
+        return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2)
+
+    @cached_property
+    def gates(self) -> tuple[float, float, float]:
+        """The bound on the NIS of a measurement of one, two and three components."""
+        if self.gate_mode == "none":
+            return (math.inf, math.inf, math.inf)
+        from scipy.special import gammaincinv  # the χ² quantile, without the weight of scipy.stats
+
+        one, two, three = (2.0 * float(gammaincinv(0.5 * k, self.gate_probability)) for k in (1, 2, 3))
+        return one, two, three

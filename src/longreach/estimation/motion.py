@@ -1,0 +1,66 @@
+"""How the base moves between measurements: Singer acceleration, integrated exactly and put on the pose.
+
+Per body axis the chain (displacement δ, velocity v, acceleration a) obeys δ' = v, v' = a, a' = -a/τ + white noise, of
+such strength that a has a given standard deviation when nothing is measured. Over dt it is discretised exactly, for
+any dt; the pose moves by X · exp(δ), its error by Ad(exp(-δ)) and J_r(δ). (3.27a) and (3.28), where the thesis leaves f
+and Q open; robot_localization holds the acceleration constant with a noise to be tuned, for which no physical scale
+exists. The gyro bias walks at random.
+
+Source: Singer 1970, "Estimating optimal tracking filter performance for manned maneuvering targets", (5)-(9).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.estimation import _kernels
+from longreach.measurement import frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """Time constant τ [s], stationary variance of the accelerations (3,) [(m/s²)², (rad/s²)²], bias walk [rad²/s³]."""
+
+    time_constant: float
+    acceleration_variance: Float[np.ndarray, "3"]
+    bias_walk: float
+
+    def __post_init__(self) -> None:
+        variance = frozen_array(self.acceleration_variance, (3,), "The acceleration's variance")
+        object.__setattr__(self, "acceleration_variance", variance)
+
+
+def transition(
+    model: MotionModel, mean: Float[np.ndarray, " n"], dt: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+    """Move the mean by dt [s] and return it with F = ∂(new error)/∂(old error) and the process noise Q."""
+    n = len(mean)
+    F, Q = np.empty((n, n)), np.empty((n, n))
+    new = _kernels.transition(mean, float(dt), model.time_constant, model.acceleration_variance, model.bias_walk, F, Q)
+    return new, F, Q
+
+
+def retract(mean: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Move the mean by an error state: poses by X · exp(ξ), the rest by addition."""
+    return _kernels.retract(mean, error, np.empty((len(mean), len(mean))))
+
+
+def draw(
+    model: MotionModel, state: Float[np.ndarray, "10"], dt: float, rng: np.random.Generator
+) -> Float[np.ndarray, "10"]:
+    """Draw where a true state goes in dt [s]: the model that the filter believes in, as a generator of test cases."""
+    if dt == 0.0:
+        return state.copy()
+    f, g, e, q = _kernels.singer(float(dt), model.time_constant)
+    unit = np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]])
+    scale = np.sqrt(np.diag(unit))
+    root = scale[:, None] * np.linalg.cholesky(unit / np.outer(scale, scale))
+    noise = root @ rng.standard_normal((3, 3)) * np.sqrt(model.acceleration_variance)
+    v, a = state[3:6], state[6:9]
+    error = np.zeros(10)
+    error[:3] = dt * v + f * a + noise[0]
+    error[3:6] = g * a + noise[1]
+    error[6:9] = (e - 1.0) * a + noise[2]
+    error[9] = np.sqrt(model.bias_walk * dt) * rng.standard_normal()
+    return retract(state, error)

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from jacobians import assert_is_jacobian
+from scipy.linalg import expm
+
+from longreach.estimation import _kernels, motion
+from longreach.geometry import se2
+
+MODEL = motion.MotionModel(0.5, np.array([1.0, 0.7, 2.0]) ** 2, 1e-3)
+
+
+def chain(dt, tau):
+    f, g, e, q = _kernels.singer(float(dt), float(tau))
+    return (
+        np.array([[1.0, dt, f], [0.0, 1.0, g], [0.0, 0.0, e]]),
+        np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]]),
+    )
+
+
+def random_mean(rng, anchors=0):
+    mean = rng.normal(size=10 + 3 * anchors)
+    mean[5] *= 2.0
+    return mean
+
+
+def difference(a, b):
+    out = b - a
+    for i in (0, *range(10, len(a), 3)):
+        out[i : i + 3] = se2.difference(a[i : i + 3], b[i : i + 3])
+    return out
+
+
+@pytest.mark.parametrize("dt", [0.03, 0.3, 0.4999, 0.5001, 1.0, 4.0])
+def test_the_discrete_chain_is_that_of_van_loan(dt):
+    tau = 0.5
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau]])
+    G = np.diag([0.0, 0.0, 2.0 / tau])
+    block = expm(np.block([[-A, G], [np.zeros((3, 3)), A.T]]) * dt)
+    Phi = block[3:, 3:].T
+    Phi_ours, Q_ours = chain(dt, tau)
+    np.testing.assert_allclose(Phi_ours, Phi, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(Q_ours, Phi @ block[:3, 3:], rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("first", [1e-5, 1e-3, 0.1, 0.45, 0.6, 30.0])
+@pytest.mark.parametrize("second", [1e-5, 1e-3, 0.1, 0.45, 0.6, 30.0])
+def test_two_short_predictions_are_one_long_one(first, second):
+    (Phi1, Q1), (Phi2, Q2), (Phi, Q) = chain(first, 0.5), chain(second, 0.5), chain(first + second, 0.5)
+    np.testing.assert_allclose(Phi2 @ Phi1, Phi, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(Phi2 @ Q1 @ Phi2.T + Q2, Q, rtol=1e-11)
+
+
+def test_unmeasured_acceleration_keeps_its_stationary_variance():
+    Phi, Q = chain(0.37, 0.5)
+    assert Phi[2, 2] ** 2 + Q[2, 2] == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0])
+@pytest.mark.parametrize("anchors", [0, 2])
+def test_the_transition_jacobian_is_its_derivative(rng, dt, anchors):
+    mean = random_mean(rng, anchors)
+    _, F, _ = motion.transition(MODEL, mean, dt)
+    assert_is_jacobian(
+        lambda x: motion.transition(MODEL, x, dt)[0], F, mean, motion.retract, difference, atol=2e-6, step=1e-5
+    )
+
+
+def test_no_time_changes_nothing(rng):
+    mean = random_mean(rng, 1)
+    new, F, Q = motion.transition(MODEL, mean, 0.0)
+    np.testing.assert_array_equal(new, mean)
+    np.testing.assert_allclose(F, np.eye(13), atol=1e-15)
+    np.testing.assert_array_equal(Q, 0.0)
+
+
+def test_constant_twist_moves_along_the_exponential(rng):
+    mean = random_mean(rng)
+    mean[6:9] = 0.0
+    new, _, _ = motion.transition(MODEL, mean, 1.7)
+    np.testing.assert_allclose(new[:3], se2.retract(mean[:3], 1.7 * mean[3:6]), atol=1e-14)
+    np.testing.assert_array_equal(new[3:], mean[3:])
+
+
+def test_draws_spread_as_the_process_noise_says(rng):
+    mean, dt = random_mean(rng), 0.1
+    new, _, Q = motion.transition(MODEL, mean, dt)
+    errors = np.array([difference(new, motion.draw(MODEL, mean, dt, rng)) for _ in range(4000)])
+    L = np.linalg.cholesky(Q)
+    whitened = np.linalg.solve(L, errors.T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(10), atol=0.12)
+    np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=0.08)
