@@ -1,0 +1,77 @@
+"""Metrics as values with units, and the one table of them that both the report and the terminal show."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypedDict
+
+
+class Metric(TypedDict):
+    """One number of metrics.json; `value` is None where it is not known."""
+
+    value: float | int | None
+    unit: str
+
+
+def metric(value: float | int, unit: str) -> Metric:
+    """Return a metric that JSON can hold: NaN and infinity become None."""
+    if isinstance(value, int):
+        return {"value": value, "unit": unit}
+    return {"value": float(value) if math.isfinite(value) else None, "unit": unit}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows: a metric and its unit, then one column per trajectory or source."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+UNKNOWN = "–"
+_NAMES = {
+    "ate": "position error (ATE)",
+    "heading": "heading error",
+    "rpe": "relative error",
+    "rmse": "RMSE",
+    "rms": "RMS",
+    "std": "standard deviation",
+    "max": "largest",
+    "nees": "NEES",
+    "nis": "NIS",
+    "lower": "lower 95 % bound",
+    "upper": "upper 95 % bound",
+}
+
+
+def label(name: str) -> str:
+    """Return a metric's key as words: `rpe_5m_rotation_mean` → Relative error over 5 m, rotation mean."""
+    words = []
+    which = "up to" if name.startswith("relations") else "over"
+    for part in name.split("_"):
+        length = re.fullmatch(r"(\d+(?:\.\d+)?)(m|s)", part)
+        words.append(f"{which} {length[1]} {length[2]}," if length else _NAMES.get(part, part))
+    text = " ".join(words).rstrip(",")
+    return text[:1].upper() + text[1:]
+
+
+def _text(value: float | int | None) -> str:
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    if isinstance(value, int):
+        return str(value)
+    if value != 0 and not 1e-4 <= abs(value) < 1e5:
+        return f"{value:.2e}"
+    digits = 3 if value == 0 else max(0, 3 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(digits, 5)}f}"
+
+
+def metric_table(metrics: Mapping[str, Mapping[str, Metric]]) -> Table:
+    """Lay out nested metrics, trajectory → name → metric: a row a name, in the order in which they first appear."""
+    units = {name: m["unit"] for named in metrics.values() for name, m in named.items()}
+    rows = []
+    for name, unit in units.items():
+        found = [named.get(name) for named in metrics.values()]
+        rows.append((label(name), unit, *(UNKNOWN if m is None else _text(m["value"]) for m in found)))
+    return Table(("metric", "unit", *metrics), tuple(rows))
