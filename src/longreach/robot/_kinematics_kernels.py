@@ -1,0 +1,156 @@
+"""Kernels of a serial chain T = F[0] · J_0(q_0) · F[1] · J_1(q_1) ⋯ F[k] and of its Jacobian.
+
+`fixed` (k+1, 4, 4) holds the F, `prismatic` (n,) whether J_i is Tz(q_i) or Rz(q_i), q (n,) and J (6, n) may be longer
+than k: later joints do not move this frame, and their columns are zero. Nothing is checked here.
+"""
+
+import numpy as np
+
+from longreach.kernels import kernel
+
+# π/2 in three parts; the first two have zeros at their ends, so that multiples of them are exact.
+_TURN_1 = 1.5707963267341256
+_TURN_2 = 6.077100506303966e-11
+_TURN_3 = 2.0222662487959506e-21
+_FAR = 1e5  # further out the reduction loses digits
+
+
+@kernel
+def sine_cosine(x):
+    """Return sin x and cos x by Taylor's series about the nearest multiple of π/2, to 2e-16 where |x| < 1e5.
+
+    Without a call or a branch, so that a loop over joints becomes vector instructions.
+    """
+    k = np.rint(x * (2 / np.pi))
+    r = ((x - k * _TURN_1) - k * _TURN_2) - k * _TURN_3
+    u = r * r
+    s = -1 / 1307674368000.0
+    s = 1 / 6227020800.0 + u * s
+    s = -1 / 39916800.0 + u * s
+    s = 1 / 362880.0 + u * s
+    s = -1 / 5040.0 + u * s
+    s = 1 / 120.0 + u * s
+    s = -1 / 6.0 + u * s
+    s = r + r * u * s
+    c = 1 / 20922789888000.0
+    c = -1 / 87178291200.0 + u * c
+    c = 1 / 479001600.0 + u * c
+    c = -1 / 3628800.0 + u * c
+    c = 1 / 40320.0 + u * c
+    c = -1 / 720.0 + u * c
+    c = 1 / 24.0 + u * c
+    c = 1.0 - u * (0.5 - u * c)
+    m = k - 4.0 * np.floor(0.25 * k)  # the quadrant
+    odd = m == 1.0 or m == 3.0
+    a = c if odd else s
+    b = s if odd else c
+    return (-a if m >= 2.0 else a), (-b if m == 1.0 or m == 2.0 else b)
+
+
+@kernel
+def forward_jacobian(fixed, prismatic, q, T, J):
+    """Fill T (4, 4) and the geometric Jacobian J (6, n) = [v; ω], world-aligned at the end; (3.8), (3.12)-(3.15)."""
+    k, n = fixed.shape[0] - 1, J.shape[1]
+    near = True
+    for i in range(k):
+        near &= abs(q[i]) < _FAR
+    if near:  # J[0], J[1] hold sines and cosines until they are used
+        for i in range(k):
+            s, c = sine_cosine(q[i])
+            J[0, i] = s
+            J[1, i] = c
+    else:
+        for i in range(k):
+            J[0, i] = np.sin(q[i])
+            J[1, i] = np.cos(q[i])
+    F = fixed[0]
+    xx, yx, zx, px = F[0, 0], F[0, 1], F[0, 2], F[0, 3]
+    xy, yy, zy, py = F[1, 0], F[1, 1], F[1, 2], F[1, 3]
+    xz, yz, zz, pz = F[2, 0], F[2, 1], F[2, 2], F[2, 3]
+    for i in range(k):
+        s, c = J[0, i], J[1, i]
+        J[0, i], J[1, i], J[2, i] = px, py, pz
+        J[3, i], J[4, i], J[5, i] = zx, zy, zz
+        if prismatic[i]:
+            px, py, pz = px + q[i] * zx, py + q[i] * zy, pz + q[i] * zz
+        else:
+            xx, yx = c * xx + s * yx, c * yx - s * xx
+            xy, yy = c * xy + s * yy, c * yy - s * xy
+            xz, yz = c * xz + s * yz, c * yz - s * xz
+        F = fixed[i + 1]
+        a, b, d = F[0, 3], F[1, 3], F[2, 3]
+        px += a * xx + b * yx + d * zx
+        py += a * xy + b * yy + d * zy
+        pz += a * xz + b * yz + d * zz
+        if F[0, 0] != 1.0:
+            x0, x1, x2 = F[0, 0], F[1, 0], F[2, 0]
+            y0, y1, y2 = F[0, 1], F[1, 1], F[2, 1]
+            z0, z1, z2 = F[0, 2], F[1, 2], F[2, 2]
+            xx, yx, zx = xx * x0 + yx * x1 + zx * x2, xx * y0 + yx * y1 + zx * y2, xx * z0 + yx * z1 + zx * z2
+            xy, yy, zy = xy * x0 + yy * x1 + zy * x2, xy * y0 + yy * y1 + zy * y2, xy * z0 + yy * z1 + zy * z2
+            xz, yz, zz = xz * x0 + yz * x1 + zz * x2, xz * y0 + yz * y1 + zz * y2, xz * z0 + yz * z1 + zz * z2
+        elif F[1, 1] != 1.0:  # a turn about x alone, as between most joints
+            y1, y2, z1, z2 = F[1, 1], F[2, 1], F[1, 2], F[2, 2]
+            yx, zx = yx * y1 + zx * y2, yx * z1 + zx * z2
+            yy, zy = yy * y1 + zy * y2, yy * z1 + zy * z2
+            yz, zz = yz * y1 + zz * y2, yz * z1 + zz * z2
+    T[0, 0], T[0, 1], T[0, 2], T[0, 3] = xx, yx, zx, px
+    T[1, 0], T[1, 1], T[1, 2], T[1, 3] = xy, yy, zy, py
+    T[2, 0], T[2, 1], T[2, 2], T[2, 3] = xz, yz, zz, pz
+    T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
+    for i in range(k):
+        zx, zy, zz = J[3, i], J[4, i], J[5, i]
+        rx, ry, rz = px - J[0, i], py - J[1, i], pz - J[2, i]
+        slides = prismatic[i]
+        J[0, i] = zx if slides else zy * rz - zz * ry  # (3.14)
+        J[1, i] = zy if slides else zz * rx - zx * rz
+        J[2, i] = zz if slides else zx * ry - zy * rx
+        J[3, i] = 0.0 if slides else zx  # (3.13)
+        J[4, i] = 0.0 if slides else zy
+        J[5, i] = 0.0 if slides else zz
+    for i in range(k, n):
+        for row in range(6):
+            J[row, i] = 0.0
+
+
+@kernel
+def forward_jacobian_batch(fixed, prismatic, Q, T, J):
+    """Fill T (m, 4, 4) and J (m, 6, n) for the rows of Q (m, n)."""
+    for i in range(Q.shape[0]):
+        forward_jacobian(fixed, prismatic, Q[i], T[i], J[i])
+
+
+@kernel
+def forward(fixed, prismatic, q, T):
+    """Fill T (4, 4) alone; (3.8)."""
+    J = np.empty((6, fixed.shape[0] - 1))
+    forward_jacobian(fixed, prismatic, q, T, J)
+
+
+@kernel
+def forward_batch(fixed, prismatic, Q, T):
+    """Fill T (m, 4, 4) for the rows of Q (m, n)."""
+    J = np.empty((6, fixed.shape[0] - 1))
+    for i in range(Q.shape[0]):
+        forward_jacobian(fixed, prismatic, Q[i], T[i], J)
+
+
+@kernel
+def hessian(J, H):
+    """Fill H (n, 6, n), H[j] = ∂J/∂q_j, world-aligned as J is, from the columns (v_i; ω_i) of J alone.
+
+    For j ≤ i: H[j][:, i] = (ω_j × v_i; ω_j × ω_i); for j > i: (ω_i × v_j; 0). A prismatic joint has ω = 0.
+    """
+    n = J.shape[1]
+    for j in range(n):
+        wx, wy, wz = J[3, j], J[4, j], J[5, j]
+        for i in range(j):  # joint i comes before j: it carries j's axis along
+            ox, oy, oz = J[3, i], J[4, i], J[5, i]
+            vx, vy, vz = J[0, j], J[1, j], J[2, j]
+            H[j, 0, i], H[j, 1, i], H[j, 2, i] = oy * vz - oz * vy, oz * vx - ox * vz, ox * vy - oy * vx
+            H[j, 3, i], H[j, 4, i], H[j, 5, i] = 0.0, 0.0, 0.0
+        for i in range(j, n):
+            vx, vy, vz = J[0, i], J[1, i], J[2, i]
+            ox, oy, oz = J[3, i], J[4, i], J[5, i]
+            H[j, 0, i], H[j, 1, i], H[j, 2, i] = wy * vz - wz * vy, wz * vx - wx * vz, wx * vy - wy * vx
+            H[j, 3, i], H[j, 4, i], H[j, 5, i] = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
