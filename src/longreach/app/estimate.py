@@ -6,13 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from longreach.app.configuration import EstimateConfig, Source
-from longreach.app.evaluate import Metrics, Relations, evaluate
+from longreach.app.configuration import EstimateConfig, Source, filter_for
+from longreach.app.evaluate import (
+    Metrics,
+    Relations,
+    cleaned_truth,
+    evaluate,
+    innovations,
+    match_consistency,
+)
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
 from longreach.estimation.fusion import Anchor, Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
+from longreach.evaluation.consistency import consistency_metrics
+from longreach.evaluation.tables import Metric
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
 from longreach.odometry.range_flow import ScanMatch, lidar_odometry
@@ -89,20 +98,21 @@ def estimate(
         raise EstimationError("There is nothing to fuse: the recording has none of the sources asked for.")
     events = fusion.in_order(measured)
 
-    pose, covariance = start_pose(fixes, [dead_reckoning[s] for s in ("lidar", "wheels") if s in sources])
-    state = fusion.init(events[0].stamp, pose, covariance, config.filter_for(robot, recording))
-    state, fused, corrections = offline.run(
-        state, events, lambda i: tell("fusion", i / len(events))
-    )  # (3.27)–(3.29)
+    begin = events[0].stamp
+    pose, covariance = start_pose(fixes, [dead_reckoning[s] for s in ("lidar", "wheels") if s in sources], begin)
+    state = fusion.init(begin, pose, covariance, filter_for(config, robot, recording))
+    state, fused, corrections = offline.run(state, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
 
-    trajectories = {"fused": _at_rows(fused, recording, sources)}
+    trajectories = {"fused": _at_rows(fused, recording)}
     trajectories |= {name: path for name, path in dead_reckoning.items() if len(path) > 1}
     trajectories = {name: _as_recorded(path, recording) for name, path in trajectories.items()}
-    if truth is not None:
-        trajectories["truth"] = truth
-    tell("evaluation", 0.0)
-    metrics = evaluate(trajectories, relations, matches, corrections, config.evaluation)
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state))
+    tell("evaluation", 0.0)
+    if truth is not None:
+        trajectories["truth"], dropped = cleaned_truth(truth, config.evaluation)
+        remarks = (*remarks, *dropped)
+    metrics = evaluate(trajectories, trajectories.get("truth"), relations, config.evaluation)
+    _add_consistency(metrics, corrections, found, trajectories.get("truth"))
     return Estimate(recording, robot, config, trajectories, matches, corrections, metrics, remarks)
 
 
@@ -145,13 +155,24 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
         raise EstimationError(f"The recording has an IMU, but the description of {robot.name} does not say what it is.")
     T = sensor_mount(recording, robot, "imu")
     noise = robot.imu
-    return tuple(
-        planar_imu(imu, T, noise.gyro_deviation**2, noise.acceleration_deviation**2) for imu in recording.imu
-    )
+    return tuple(planar_imu(imu, T, noise.gyro_deviation**2, noise.acceleration_deviation**2) for imu in recording.imu)
 
 
-def _at_rows(fused: PoseTrajectory, recording: Recording, sources: Sequence[Source]) -> PoseTrajectory:
-    """Keep the rows at wheel and scan stamps; where neither is fused, all of them."""
+def _add_consistency(
+    metrics: dict[str, dict[str, Metric]],
+    corrections: Sequence[Correction],
+    matches: Sequence[RelativePoseMeasurement],
+    truth: PoseTrajectory | None,
+) -> None:
+    """Add the NIS of each source to the fused metrics, and the NEES of single matches to those of the LIDAR."""
+    for source, consistency in innovations(corrections).items():
+        metrics["fused"] |= consistency_metrics(f"nis_{source}", consistency)
+    if matches and truth is not None and truth.has_heading:
+        metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
+
+
+def _at_rows(fused: PoseTrajectory, recording: Recording) -> PoseTrajectory:
+    """Keep the rows at wheel and scan stamps; where there is neither, all of them."""
     stamps = {scan.stamp for scan in recording.scans} | {wheel.stamp for wheel in recording.wheels}
     keep = np.array([stamp in stamps for stamp in fused.clock.tolist()])
     if not keep.any():
