@@ -15,3 +15,7 @@ class ConfigError(LongreachError):
 
 class EstimationError(LongreachError):
     """The measurements given cannot be turned into an estimate."""
+
+
+class PlanningError(LongreachError):
+    """A reference, a task or a path cannot be planned with."""
