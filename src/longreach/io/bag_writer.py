@@ -1,0 +1,186 @@
+"""Write a Recording, or any standard messages, as a ROS bag that ROS can play: .mcap, .bag, or a ROS 2 folder."""
+
+import heapq
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from longreach.errors import RecordingError
+from longreach.io import messages
+from longreach.io.messages import Types, nanoseconds
+from longreach.measurement import Odometry, Recording, Wheels, WheelSpeeds, WheelTicks
+from longreach.robot.description import RobotDescription
+
+_STATIC = "/tf_static"
+_TELL_EVERY = 500  # messages
+_ROS2_VERSION: Literal[8] = 8  # what ROS 2 Jazzy writes; older ones read it too
+_FOREVER = QosTime(9223372036, 854775807)
+# So that a late listener still gets it, as with ROS's own static broadcaster.
+_LATCHED = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.TRANSIENT_LOCAL,
+    deadline=_FOREVER,
+    lifespan=_FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+
+
+class BagWriter:
+    """An open bag to write messages of the classes in `types` to."""
+
+    def __init__(self, writer: Ros1Writer | Ros2Writer) -> None:
+        self._writer = writer
+        self._is_ros1 = isinstance(writer, Ros1Writer)
+        self._store = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.ROS2_HUMBLE)
+        if self._is_ros1:  # rosbags' ROS 1 types lack it
+            self._store.register(
+                get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+            )
+        self.types: Types = self._store.types
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, message: Any, stamp: float) -> None:
+        """Write one message at the time of recording `stamp` [s]."""
+        type = message.__msgtype__
+        if topic not in self._connections:
+            self._connections[topic] = self._connect(topic, type)
+        serialize = self._store.serialize_ros1 if self._is_ros1 else self._store.serialize_cdr
+        self._writer.write(self._connections[topic], nanoseconds(stamp), serialize(message, type))
+
+    def _connect(self, topic: str, type: str) -> Any:
+        static = topic == _STATIC
+        if isinstance(self._writer, Ros1Writer):
+            latching = 1 if static else None
+            return self._writer.add_connection(topic, type, typestore=self._store, latching=latching)
+        profiles = (_LATCHED,) if static else ()
+        return self._writer.add_connection(topic, type, typestore=self._store, offered_qos_profiles=profiles)
+
+
+@contextmanager
+def new_bag(path: Path) -> Iterator[BagWriter]:
+    """Open a new bag whose suffix says its kind: .mcap, .bag (ROS 1), or none for a ROS 2 folder with sqlite3.
+
+    It is written beside its place and moved there when all went well. A file that is there is replaced; a folder is
+    not, for it may hold other things.
+
+    Raises:
+        RecordingError: the suffix is another, the folder is there already, or it cannot be written.
+    """
+    if path.suffix not in (".mcap", ".bag", ""):
+        raise RecordingError(
+            f"{path} cannot be written: end it with .mcap or .bag, or with nothing for a ROS 2 folder."
+        )
+    if path.is_dir():
+        raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        workplace = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        try:
+            if path.suffix == ".bag":
+                writer, written = Ros1Writer(workplace / path.name), workplace / path.name
+            elif path.suffix == ".mcap":  # rosbags makes a folder with the file and a metadata.yaml, which we leave out
+                folder = workplace / path.stem
+                plugin = StoragePlugin.MCAP
+                writer = Ros2Writer(folder, version=_ROS2_VERSION, storage_plugin=plugin)
+                written = folder / f"{folder.name}.mcap"
+            else:
+                writer, written = Ros2Writer(workplace / path.name, version=_ROS2_VERSION), workplace / path.name
+            with writer:
+                yield BagWriter(writer)
+            os.replace(written, path)
+        finally:
+            shutil.rmtree(workplace, ignore_errors=True)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def write_bag(
+    path: Path, recording: Recording, robot: RobotDescription, progress: Callable[[float], None] | None = None
+) -> None:
+    """Write a recording as a bag on the topics of the robot's description, or the usual ones where it names none.
+
+    Headers carry the stamps as recorded; the time of recording is the repaired one. `read_bag` gives the same records
+    again (ranges as float32), if the description names the topics of truth, fixes and joints. Of the truth the poses
+    are written, not their covariance.
+
+    Raises:
+        RecordingError: wheels without a base that names them, stamps before 1970, or a path that cannot be written.
+    """
+    streams = _streams(recording, robot)
+    total = max(sum(stream.count for stream in streams), 1)
+    with new_bag(path) as bag:
+        merged = heapq.merge(*(stream.messages(bag.types) for stream in streams), key=lambda item: item[0])
+        for i, (stamp, topic, message) in enumerate(merged):
+            if progress is not None and i % _TELL_EVERY == 0:
+                progress(i / total)
+            bag.write(topic, message, stamp)
+    if progress is not None:
+        progress(1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """What goes to one topic: (time of recording, stamp of the header, record), and what makes a message of them."""
+
+    topic: str
+    count: int
+    rows: Iterable[tuple[float, float, Any]]
+    make: Callable[[Types, float, Any], Any]
+
+    def messages(self, types: Types) -> Iterator[tuple[float, str, Any]]:
+        return ((clock, self.topic, self.make(types, stamp, record)) for clock, stamp, record in self.rows)
+
+
+def _streams(recording: Recording, robot: RobotDescription) -> list[_Stream]:
+    topics, as_recorded = robot.topics, recording.recorded_stamps
+
+    def of(topic: str, sensor: tuple[Any, ...], make: Callable[[Types, float, Any], Any]) -> _Stream:
+        return _Stream(topic, len(sensor), ((r.stamp, as_recorded.get(r.stamp, r.stamp), r) for r in sensor), make)
+
+    is_driver = bool(recording.wheels) and isinstance(recording.wheels[0], Odometry)
+    streams = [
+        of(topics.wheels or "/odom", recording.wheels, messages.odometry)
+        if is_driver
+        else of(topics.wheels or "/joint_states", recording.wheels, partial(_wheels, robot)),
+        of(topics.lidar or "/scan", recording.scans, messages.laser_scan),
+        of(topics.imu or "/imu/data", recording.imu, messages.imu),
+        of(topics.fixes or "/fixes", recording.fixes, messages.pose_with_covariance),
+        of(topics.joints or "/arm/joint_states", recording.joints, messages.joint_state_of),
+    ]
+    truth = recording.truth
+    if truth is not None:
+        rows = zip(truth.clock.tolist(), truth.stamps.tolist(), truth.poses, strict=True)
+        make = partial(messages.pose_stamped, has_heading=truth.has_heading)
+        streams.append(_Stream(topics.truth or "/truth", len(truth), rows, make))
+    if recording.mounts:
+        firsts = [sensor[0].stamp for sensor in (recording.wheels, recording.scans, recording.imu) if sensor]
+        first = min(firsts, default=0.0)
+        streams.insert(0, _Stream(_STATIC, 1, [(first, first, recording.mounts)], messages.transforms))
+    return streams
+
+
+def _wheels(robot: RobotDescription, types: Types, stamp: float, record: Wheels) -> Any:
+    if robot.base is None:
+        raise RecordingError(f"The description of {robot.name} has no base that names the wheels; describe its base.")
+    names = robot.base.wheel_names
+    if isinstance(record, WheelSpeeds):
+        return messages.joint_state(types, stamp, names, velocity=record.speeds)
+    if isinstance(record, WheelTicks):
+        return messages.joint_state(types, stamp, names, position=record.ticks)
+    raise RecordingError("The wheel records are of several kinds; use only ticks, only speeds or only odometry.")

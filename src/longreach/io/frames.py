@@ -1,0 +1,87 @@
+"""Where sensors are mounted, from the transforms in a recording."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.geometry import se3
+from longreach.io.records import frame_name
+
+_BASES = ("base_link", "base_footprint")
+_STILL = 1e-5  # [m, 1]: what a transform that does not move may differ by; calibrations come as float32 too
+
+
+class FrameTree:
+    """Frames with their parent, as tf has them; a transform that changes is known to move and of no use here."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, np.ndarray]] = {}
+        self._moving: set[str] = set()
+
+    def take(self, transforms: Iterable[Any]) -> None:
+        """Take the transforms of one tf2_msgs/TFMessage."""
+        for transform in transforms:
+            child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
+            if child in self._moving:
+                continue
+            t, q = transform.transform.translation, transform.transform.rotation
+            values = np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
+            known = self._parents.setdefault(child, (parent, values))
+            turned = np.concatenate([values[:3], -values[3:]])  # the same transform
+            still = min(np.abs(known[1] - values).max(), np.abs(known[1] - turned).max()) <= _STILL
+            if known[0] != parent or not still:  # not still either where there is a NaN
+                self._moving.add(child)
+
+    def mounts(self, frames: Iterable[str]) -> tuple[dict[str, Float[np.ndarray, "4 4"]], tuple[str, ...]]:
+        """Return T_base_sensor (4, 4) of the frames that are fixed to the base, and which of the frames move."""
+        base = next((frame for frame in _BASES if frame in self._names()), None)
+        found: dict[str, np.ndarray] = {}
+        moving = []
+        for frame in frames:
+            if base is None or frame == base or frame not in self._names():
+                continue
+            T = self._between(base, frame)
+            if T is None:
+                moving.append(frame)
+            else:
+                found[frame] = T
+        return found, tuple(moving)
+
+    def _names(self) -> set[str]:
+        return self._parents.keys() | {parent for parent, _ in self._parents.values()}
+
+    def _between(self, base: str, frame: str) -> np.ndarray | None:
+        """Return T_base_frame over the nearest frame above both, or None where something between them moves."""
+        above_base, above_frame = self._above(base), self._above(frame)
+        common = next((name for name in above_frame if name in above_base), None)
+        if common is None:
+            return None
+        return se3.inverse(above_base[common]) @ above_frame[common]
+
+    def _above(self, frame: str) -> dict[str, np.ndarray]:
+        """Return the frames above one as far as nothing moves, the nearest first, each with T_above_frame."""
+        T = np.eye(4)
+        above = {frame: T}
+        while frame in self._parents and frame not in self._moving:
+            frame, values = self._parents[frame]
+            if frame in above:  # a loop is no tree
+                break
+            T = _matrix(values) @ T
+            above[frame] = T
+        return above
+
+
+def _matrix(values: np.ndarray) -> np.ndarray:
+    """Return the motion (4, 4) of a translation and a quaternion xyzw, which need not be of unit length."""
+    size = np.linalg.norm(values[3:])
+    x, y, z, w = values[3:] / size if size > 0 else np.array([0.0, 0.0, 0.0, 1.0])
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return se3.from_rotation_translation(R, values[:3])

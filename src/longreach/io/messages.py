@@ -1,0 +1,163 @@
+"""Standard ROS messages from our records; the same for ROS 1 and ROS 2 but for the header.
+
+`types` maps a type's name (sensor_msgs/msg/Imu) to its class, as a type store of rosbags does. Covariances that are not
+known are zero there, and of what was not measured at all the first element is -1, as in sensor_msgs/Imu.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import RecordingError
+from longreach.geometry import so3
+from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement
+
+Types = Mapping[str, Any]
+
+# Where x, y and the turn about z are in a row-major 6 x 6 covariance of x y z and the turns about them.
+PLANAR = np.array([0, 1, 5, 6, 7, 11, 30, 31, 35])
+NOT_MEASURED = -1.0
+
+
+def nanoseconds(stamp: float) -> int:
+    """Return a stamp [s] in nanoseconds, without the digits that a product with 1e9 would lose.
+
+    Raises:
+        RecordingError: ROS has no such time.
+    """
+    if not 0 <= stamp < 2**31:
+        raise RecordingError(f"ROS cannot hold the stamp {stamp} s; stamps start at 0 and end in the year 2038.")
+    seconds = math.floor(stamp)
+    return seconds * 10**9 + round((stamp - seconds) * 1e9)
+
+
+def header(types: Types, stamp: float, frame: str) -> Any:
+    """Return a std_msgs/Header."""
+    seconds, rest = divmod(nanoseconds(stamp), 10**9)
+    time = types["builtin_interfaces/msg/Time"](seconds, rest)
+    Header = types["std_msgs/msg/Header"]
+    if "seq" in Header.__dataclass_fields__:  # ROS 1
+        return Header(seq=0, stamp=time, frame_id=frame)
+    return Header(stamp=time, frame_id=frame)
+
+
+def joint_state(
+    types: Types,
+    stamp: float,
+    names: Sequence[str],
+    position: Float[np.ndarray, " n"] | None = None,
+    velocity: Float[np.ndarray, " n"] | None = None,
+    effort: Float[np.ndarray, " n"] | None = None,
+) -> Any:
+    """Return a sensor_msgs/JointState; what is not given stays empty."""
+    given = [np.zeros(0) if values is None else np.array(values) for values in (position, velocity, effort)]
+    return types["sensor_msgs/msg/JointState"](header(types, stamp, ""), list(names), *given)
+
+
+def joint_state_of(types: Types, stamp: float, joints: JointState) -> Any:
+    """Return a sensor_msgs/JointState."""
+    return joint_state(types, stamp, joints.names, joints.position, joints.velocity, joints.effort)
+
+
+def laser_scan(types: Types, stamp: float, scan: LaserScan) -> Any:
+    """Return a sensor_msgs/LaserScan; ranges and angles are float32 there."""
+    return types["sensor_msgs/msg/LaserScan"](
+        header=header(types, stamp, scan.frame),
+        angle_min=scan.angle_min,
+        angle_max=scan.angle_min + scan.angle_increment * max(len(scan.ranges) - 1, 0),
+        angle_increment=scan.angle_increment,
+        time_increment=scan.time_increment,
+        scan_time=0.0,
+        range_min=scan.range_min,
+        range_max=scan.range_max,
+        ranges=scan.ranges.astype(np.float32),
+        intensities=np.zeros(0, dtype=np.float32),
+    )
+
+
+def imu(types: Types, stamp: float, reading: Imu) -> Any:
+    """Return a sensor_msgs/Imu without an orientation."""
+    vector = types["geometry_msgs/msg/Vector3"]
+    return types["sensor_msgs/msg/Imu"](
+        header=header(types, stamp, reading.frame),
+        orientation=_turn(types, np.array([0.0, 0.0, 0.0, 1.0])),
+        orientation_covariance=_covariance_or_mark(None, False, 9),
+        angular_velocity=vector(*reading.angular_velocity.tolist()),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(*reading.acceleration.tolist()),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def odometry(types: Types, stamp: float, record: Odometry) -> Any:
+    """Return a nav_msgs/Odometry of base_link in odom; the covariance of what the record lacks starts with -1."""
+    vx, vy, omega = (np.zeros(3) if record.twist is None else record.twist).tolist()
+    vector = types["geometry_msgs/msg/Vector3"]
+    twist = types["geometry_msgs/msg/Twist"](vector(vx, vy, 0.0), vector(0.0, 0.0, omega))
+    return types["nav_msgs/msg/Odometry"](
+        header=header(types, stamp, "odom"),
+        child_frame_id="base_link",
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](
+            _pose(types, np.zeros(3) if record.pose is None else record.pose),
+            _covariance_or_mark(record.pose_covariance, record.pose is not None),
+        ),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](
+            twist, _covariance_or_mark(record.twist_covariance, record.twist is not None)
+        ),
+    )
+
+
+def pose_stamped(types: Types, stamp: float, pose: Float[np.ndarray, "3"], *, has_heading: bool = True) -> Any:
+    """Return a geometry_msgs/PoseStamped in map; without a heading its quaternion is zero."""
+    message = _pose(types, pose)
+    if not has_heading:
+        message.orientation = _turn(types, np.zeros(4))
+    return types["geometry_msgs/msg/PoseStamped"](header(types, stamp, "map"), message)
+
+
+def pose_with_covariance(types: Types, stamp: float, fix: PoseMeasurement) -> Any:
+    """Return a geometry_msgs/PoseWithCovarianceStamped in map."""
+    pose = types["geometry_msgs/msg/PoseWithCovariance"](
+        _pose(types, fix.pose), _covariance_or_mark(fix.covariance, True)
+    )
+    return types["geometry_msgs/msg/PoseWithCovarianceStamped"](header(types, stamp, "map"), pose)
+
+
+def transforms(types: Types, stamp: float, mounts: Mapping[str, Float[np.ndarray, "4 4"]]) -> Any:
+    """Return a tf2_msgs/TFMessage that says where the frames are in base_link."""
+    stamped = []
+    for frame, T in mounts.items():
+        translation = types["geometry_msgs/msg/Vector3"](*T[:3, 3].tolist())
+        transform = types["geometry_msgs/msg/Transform"](translation, _turn(types, quaternion_xyzw(T[:3, :3])))
+        stamped.append(types["geometry_msgs/msg/TransformStamped"](header(types, stamp, "base_link"), frame, transform))
+    return types["tf2_msgs/msg/TFMessage"](stamped)
+
+
+def quaternion_xyzw(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """Return the quaternion of a rotation, its real part not negative."""
+    w = so3.log(R)
+    angle = float(np.linalg.norm(w))
+    axis = w / angle if angle > 0 else np.zeros(3)
+    return np.append(np.sin(angle / 2) * axis, np.cos(angle / 2))
+
+
+def _turn(types: Types, xyzw: np.ndarray) -> Any:
+    return types["geometry_msgs/msg/Quaternion"](*xyzw.tolist())
+
+
+def _pose(types: Types, pose: np.ndarray) -> Any:
+    x, y, theta = pose.tolist()
+    turn = np.array([0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)])
+    return types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](x, y, 0.0), _turn(types, turn))
+
+
+def _covariance_or_mark(planar: np.ndarray | None, measured: bool, size: int = 36) -> np.ndarray:
+    values = np.zeros(size)
+    if not measured:
+        values[0] = NOT_MEASURED
+    elif planar is not None:
+        values[PLANAR] = planar.reshape(-1)
+    return values

@@ -1,0 +1,162 @@
+"""Our records from standard ROS messages.
+
+A function here takes a message and returns what makes the record once its stamp is known, or None where the message
+says nothing that can be used (not a number, or marked as not measured).
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.io.messages import NOT_MEASURED, PLANAR
+from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement, WheelSpeeds, WheelTicks
+from longreach.robot.description import Encoder, Lidar, RobotDescription
+
+Make = Callable[..., Any]
+
+# Of a fix whose message says none; ours. A motion capture is better, but where its markers sit is known to about this.
+FIX_DEVIATIONS = (0.01, 0.01, 0.01)  # [m, m, rad]
+
+
+def frame_name(name: str) -> str:
+    """Return a frame without the slash that old ROS puts first."""
+    return name.lstrip("/")
+
+
+def laser_scan(message: Any, lidar: Lidar | None) -> Make | None:
+    """Read a sensor_msgs/LaserScan; where it leaves its angles or ranges at 0, those of the description stand in."""
+    lidar = lidar or Lidar()
+    angle_min, increment = message.angle_min, message.angle_increment
+    if not increment and lidar.angle_increment is not None and lidar.angle_min is not None:
+        angle_min, increment = lidar.angle_min, lidar.angle_increment
+    return partial(
+        LaserScan,
+        ranges=message.ranges,
+        angle_min=float(angle_min),
+        angle_increment=float(increment),
+        range_min=float(message.range_min or lidar.range_min or 0.0),
+        range_max=float(message.range_max or lidar.range_max or math.inf),
+        time_increment=float(message.time_increment),
+        frame=frame_name(message.header.frame_id) or lidar.frame or "laser",
+    )
+
+
+def imu(message: Any) -> Make | None:
+    """Read a sensor_msgs/Imu."""
+    if NOT_MEASURED in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0]):
+        return None
+    w, a = message.angular_velocity, message.linear_acceleration
+    if not math.isfinite(w.x + w.y + w.z + a.x + a.y + a.z):
+        return None
+    frame = frame_name(message.header.frame_id) or "imu"
+    return partial(Imu, angular_velocity=np.array([w.x, w.y, w.z]), acceleration=np.array([a.x, a.y, a.z]), frame=frame)
+
+
+def odometry(message: Any) -> Make | None:
+    """Read a nav_msgs/Odometry; a pose or twist whose covariance starts with -1 was not measured."""
+    pose, twist = None, None
+    if message.pose.covariance[0] != NOT_MEASURED:
+        pose = _with_heading(planar_pose(message.pose.pose.position, message.pose.pose.orientation))
+    if message.twist.covariance[0] != NOT_MEASURED:
+        v, w = message.twist.twist.linear, message.twist.twist.angular
+        twist = np.array([v.x, v.y, w.z]) if math.isfinite(v.x + v.y + w.z) else None
+    if pose is None and twist is None:
+        return None
+    return partial(
+        Odometry,
+        pose=pose,
+        twist=twist,
+        pose_covariance=None if pose is None else _known(message.pose.covariance),
+        twist_covariance=None if twist is None else _known(message.twist.covariance),
+    )
+
+
+def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
+    """Read the wheels out of a sensor_msgs/JointState: whether they were found by name, and what makes the record.
+
+    Where the names are others, or none, but there are as many numbers as wheels, they are taken in their order.
+    """
+    assert robot.base is not None
+    names, signal = robot.base.wheel_names, (robot.encoder or Encoder()).signal
+    values = message.velocity if signal == "speed" else message.position
+    make = partial(WheelSpeeds) if signal == "speed" else partial(WheelTicks)
+    key = "speeds" if signal == "speed" else "ticks"
+    if set(names) <= set(message.name) and len(values) == len(message.name):
+        return True, partial(make, **{key: values[[message.name.index(name) for name in names]]})
+    if len(values) == len(names):
+        return False, partial(make, **{key: values})
+    return None
+
+
+def joints(message: Any, robot: RobotDescription) -> Make | None:
+    """Read a sensor_msgs/JointState without the robot's wheels."""
+    wheel_names = robot.base.wheel_names if robot.base is not None else ()
+    keep = [i for i, name in enumerate(message.name) if name not in wheel_names]
+    if not keep:
+        return None
+    given = {
+        what: values[keep] if len(values) == len(message.name) else np.zeros(0)
+        for what in ("position", "velocity", "effort")
+        for values in (getattr(message, what),)
+    }
+    return partial(JointState, names=tuple(message.name[i] for i in keep), **given)
+
+
+def stamped_pose(message: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"] | None] | None:
+    """Read pose and covariance of any message with one stamped pose; its heading is NaN where it has none."""
+    if message.__msgtype__ == "geometry_msgs/msg/TransformStamped":
+        return _paired(planar_pose(message.transform.translation, message.transform.rotation), None)
+    pose, covariance = message.pose, None
+    if message.__msgtype__ != "geometry_msgs/msg/PoseStamped":
+        if pose.covariance[0] == NOT_MEASURED:
+            return None
+        pose, covariance = pose.pose, _known(pose.covariance)
+    return _paired(planar_pose(pose.position, pose.orientation), covariance)
+
+
+def fix(message: Any) -> Make | None:
+    """Read an absolute pose; without a heading its variance is infinite."""
+    found = stamped_pose(message)
+    if found is None:
+        return None
+    pose, covariance = found
+    if covariance is None:
+        covariance = np.diag(np.square(FIX_DEVIATIONS))
+    if math.isnan(pose[2]):
+        pose[2] = 0.0
+        covariance[2, :] = covariance[:, 2] = 0.0
+        covariance[2, 2] = math.inf
+    return partial(PoseMeasurement, pose=pose, covariance=covariance)
+
+
+def planar_pose(position: Any, q: Any) -> Float[np.ndarray, "3"] | None:
+    """Return x, y [m] and the turn about z [rad], which is NaN where the quaternion is zero."""
+    size = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
+    if not math.isfinite(size + position.x + position.y):
+        return None
+    if size < 1e-12:
+        return np.array([position.x, position.y, math.nan])
+    # The quaternion need not be of unit length.
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+    return np.array([position.x, position.y, yaw])
+
+
+def _paired(pose: np.ndarray | None, covariance: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None] | None:
+    return None if pose is None else (pose, covariance)
+
+
+def _with_heading(pose: np.ndarray | None) -> np.ndarray | None:
+    return None if pose is None or math.isnan(pose[2]) else pose
+
+
+def _known(covariance: np.ndarray) -> np.ndarray | None:
+    """Return the covariance (3, 3) of x, y and the turn about z, or None where it is left at zero or nonsense."""
+    planar = covariance[PLANAR]
+    total = float(planar.sum())  # NaN if any is
+    x, y, theta = planar[::4].tolist()
+    known = max(x, y, theta) > 0 and min(x, y, theta) >= 0 and not math.isnan(total)
+    return planar.reshape(3, 3) if known else None
