@@ -63,17 +63,22 @@ def cache_folder() -> Path:
     return folder
 
 
-def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool | set[str] = False) -> Any:
+def kernel(
+    function: Callable[..., Any] | None = None, *, fastmath: bool | set[str] = False, entry: bool = False
+) -> Any:
     """Compile `function` with numba on its first call, or load it from the cache folder.
 
     fastmath lets the compiler reorder sums (for loops over beams); NaN and infinity must then be kept out by the
-    caller.
+    caller. entry makes a call from Python cheaper, 0.3 instead of 0.5 µs with five arrays: for a kernel of less than a
+    microsecond that makes no arrays; it keeps Python's lock.
     """
     if function is None:
-        return lambda f: kernel(f, fastmath=fastmath)
+        return lambda f: kernel(f, fastmath=fastmath, entry=entry)
     before = _settings.CACHE_DIR
     _settings.CACHE_DIR = str(cache_folder())  # numba picks a function's cache folder when it is decorated
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+        # Without the run-time for arrays (_nrt), numba does not wrap each argument in an owner of its own.
+        options = {"nogil": not entry, "error_model": "numpy", "fastmath": fastmath, "_nrt": not entry}
+        return numba.njit(cache=True, **options)(function)
     finally:
         _settings.CACHE_DIR = before

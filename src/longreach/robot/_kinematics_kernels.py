@@ -12,10 +12,11 @@ from longreach.kernels import kernel
 _TURN_1 = 1.5707963267341256
 _TURN_2 = 6.077100506303966e-11
 _TURN_3 = 2.0222662487959506e-21
+_FUSED = {"contract"}  # a · b + c in one instruction
 _FAR = 1e5  # further out the reduction loses digits
 
 
-@kernel
+@kernel(fastmath=_FUSED)
 def sine_cosine(x):
     """Return sin x and cos x by Taylor's series about the nearest multiple of π/2, to 2e-16 where |x| < 1e5.
 
@@ -47,22 +48,57 @@ def sine_cosine(x):
     return (-a if m >= 2.0 else a), (-b if m == 1.0 or m == 2.0 else b)
 
 
-@kernel
-def forward_jacobian(fixed, prismatic, q, T, J):
-    """Fill T (4, 4) and the geometric Jacobian J (6, n) = [v; ω], world-aligned at the end; (3.8), (3.12)-(3.15)."""
-    k, n = fixed.shape[0] - 1, J.shape[1]
+@kernel(fastmath=_FUSED)
+def _sines_and_cosines(q, k, J):
+    """Put the sines of q[:k] into J[0] and the cosines into J[1], where they wait until they are used."""
     near = True
     for i in range(k):
         near &= abs(q[i]) < _FAR
-    if near:  # J[0], J[1] hold sines and cosines until they are used
+    if near:
         for i in range(k):
-            s, c = sine_cosine(q[i])
-            J[0, i] = s
-            J[1, i] = c
+            J[0, i], J[1, i] = sine_cosine(q[i])
     else:
         for i in range(k):
-            J[0, i] = np.sin(q[i])
-            J[1, i] = np.cos(q[i])
+            J[0, i], J[1, i] = np.sin(q[i]), np.cos(q[i])
+
+
+@kernel(fastmath=_FUSED)
+def _times(a, b, c, F):
+    """Return the row (a, b, c) times the rotation of F, fewer products where it turns about x or not at all."""
+    if F[0, 0] != 1.0:
+        return (
+            a * F[0, 0] + b * F[1, 0] + c * F[2, 0],
+            a * F[0, 1] + b * F[1, 1] + c * F[2, 1],
+            a * F[0, 2] + b * F[1, 2] + c * F[2, 2],
+        )
+    if F[1, 1] != 1.0:
+        return a, b * F[1, 1] + c * F[2, 1], b * F[1, 2] + c * F[2, 2]
+    return a, b, c
+
+
+@kernel(fastmath=_FUSED)
+def _columns(prismatic, k, px, py, pz, J):
+    """Turn the joints' positions J[:3] and axes J[3:] into columns of the Jacobian at the point p."""
+    for i in range(k):
+        zx, zy, zz = J[3, i], J[4, i], J[5, i]
+        rx, ry, rz = px - J[0, i], py - J[1, i], pz - J[2, i]
+        slides = prismatic[i] != 0
+        J[0, i] = zx if slides else zy * rz - zz * ry  # (3.14)
+        J[1, i] = zy if slides else zz * rx - zx * rz
+        J[2, i] = zz if slides else zx * ry - zy * rx
+        J[3, i] = 0.0 if slides else zx  # (3.13)
+        J[4, i] = 0.0 if slides else zy
+        J[5, i] = 0.0 if slides else zz
+    for row in range(6):
+        for i in range(k, J.shape[1]):
+            J[row, i] = 0.0
+
+
+@kernel(fastmath=_FUSED)
+def forward_jacobian(fixed, prismatic, q, T, J):
+    """Fill T (4, 4) and the geometric Jacobian J (6, n) = [v; ω], world-aligned at the end; (3.8), (3.12)-(3.15)."""
+    k = fixed.shape[0] - 1
+    _sines_and_cosines(q, k, J)
     F = fixed[0]
     xx, yx, zx, px = F[0, 0], F[0, 1], F[0, 2], F[0, 3]
     xy, yy, zy, py = F[1, 0], F[1, 1], F[1, 2], F[1, 3]
@@ -71,63 +107,54 @@ def forward_jacobian(fixed, prismatic, q, T, J):
         s, c = J[0, i], J[1, i]
         J[0, i], J[1, i], J[2, i] = px, py, pz
         J[3, i], J[4, i], J[5, i] = zx, zy, zz
-        if prismatic[i]:
+        if prismatic[i] != 0:
             px, py, pz = px + q[i] * zx, py + q[i] * zy, pz + q[i] * zz
         else:
             xx, yx = c * xx + s * yx, c * yx - s * xx
             xy, yy = c * xy + s * yy, c * yy - s * xy
             xz, yz = c * xz + s * yz, c * yz - s * xz
         F = fixed[i + 1]
-        a, b, d = F[0, 3], F[1, 3], F[2, 3]
-        px += a * xx + b * yx + d * zx
-        py += a * xy + b * yy + d * zy
-        pz += a * xz + b * yz + d * zz
-        if F[0, 0] != 1.0:
-            x0, x1, x2 = F[0, 0], F[1, 0], F[2, 0]
-            y0, y1, y2 = F[0, 1], F[1, 1], F[2, 1]
-            z0, z1, z2 = F[0, 2], F[1, 2], F[2, 2]
-            xx, yx, zx = xx * x0 + yx * x1 + zx * x2, xx * y0 + yx * y1 + zx * y2, xx * z0 + yx * z1 + zx * z2
-            xy, yy, zy = xy * x0 + yy * x1 + zy * x2, xy * y0 + yy * y1 + zy * y2, xy * z0 + yy * z1 + zy * z2
-            xz, yz, zz = xz * x0 + yz * x1 + zz * x2, xz * y0 + yz * y1 + zz * y2, xz * z0 + yz * z1 + zz * z2
-        elif F[1, 1] != 1.0:  # a turn about x alone, as between most joints
-            y1, y2, z1, z2 = F[1, 1], F[2, 1], F[1, 2], F[2, 2]
-            yx, zx = yx * y1 + zx * y2, yx * z1 + zx * z2
-            yy, zy = yy * y1 + zy * y2, yy * z1 + zy * z2
-            yz, zz = yz * y1 + zz * y2, yz * z1 + zz * z2
+        px += F[0, 3] * xx + F[1, 3] * yx + F[2, 3] * zx
+        py += F[0, 3] * xy + F[1, 3] * yy + F[2, 3] * zy
+        pz += F[0, 3] * xz + F[1, 3] * yz + F[2, 3] * zz
+        xx, yx, zx = _times(xx, yx, zx, F)
+        xy, yy, zy = _times(xy, yy, zy, F)
+        xz, yz, zz = _times(xz, yz, zz, F)
     T[0, 0], T[0, 1], T[0, 2], T[0, 3] = xx, yx, zx, px
     T[1, 0], T[1, 1], T[1, 2], T[1, 3] = xy, yy, zy, py
     T[2, 0], T[2, 1], T[2, 2], T[2, 3] = xz, yz, zz, pz
     T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
-    for i in range(k):
-        zx, zy, zz = J[3, i], J[4, i], J[5, i]
-        rx, ry, rz = px - J[0, i], py - J[1, i], pz - J[2, i]
-        slides = prismatic[i]
-        J[0, i] = zx if slides else zy * rz - zz * ry  # (3.14)
-        J[1, i] = zy if slides else zz * rx - zx * rz
-        J[2, i] = zz if slides else zx * ry - zy * rx
-        J[3, i] = 0.0 if slides else zx  # (3.13)
-        J[4, i] = 0.0 if slides else zy
-        J[5, i] = 0.0 if slides else zz
-    for i in range(k, n):
-        for row in range(6):
-            J[row, i] = 0.0
+    _columns(prismatic, k, px, py, pz, J)
 
 
-@kernel
+@kernel(entry=True)
+def checked(fixed, prismatic, q, T, J):
+    """Fill T and J as `forward_jacobian` does, or return False where a shape does not fit or q is not finite."""
+    n = prismatic.shape[0]
+    if q.shape[0] != n or J.shape[0] != 6 or J.shape[1] != n or T.shape[0] != 4 or T.shape[1] != 4:
+        return False
+    forward_jacobian(fixed, prismatic, q, T, J)
+    total = 0.0
+    for i in range(n):
+        total += 0.0 * q[i]
+    return total == 0.0
+
+
+@kernel(fastmath=_FUSED)
 def forward_jacobian_batch(fixed, prismatic, Q, T, J):
     """Fill T (m, 4, 4) and J (m, 6, n) for the rows of Q (m, n)."""
     for i in range(Q.shape[0]):
         forward_jacobian(fixed, prismatic, Q[i], T[i], J[i])
 
 
-@kernel
+@kernel(fastmath=_FUSED)
 def forward(fixed, prismatic, q, T):
     """Fill T (4, 4) alone; (3.8)."""
     J = np.empty((6, fixed.shape[0] - 1))
     forward_jacobian(fixed, prismatic, q, T, J)
 
 
-@kernel
+@kernel(fastmath=_FUSED)
 def forward_batch(fixed, prismatic, Q, T):
     """Fill T (m, 4, 4) for the rows of Q (m, n)."""
     J = np.empty((6, fixed.shape[0] - 1))
@@ -135,7 +162,7 @@ def forward_batch(fixed, prismatic, Q, T):
         forward_jacobian(fixed, prismatic, Q[i], T[i], J)
 
 
-@kernel
+@kernel(fastmath=_FUSED)
 def hessian(J, H):
     """Fill H (n, 6, n), H[j] = ∂J/∂q_j, world-aligned as J is, from the columns (v_i; ω_i) of J alone.
 
