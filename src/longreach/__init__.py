@@ -19,6 +19,8 @@ _PUBLIC = {
     "JointState": "longreach.measurement",
     "Recording": "longreach.measurement",
     "PoseTrajectory": "longreach.trajectory",
+    "Reference": "longreach.reference",
+    "ConfigurationTrajectory": "longreach.configuration",
 }
 
 __all__ = [*_PUBLIC, "__version__"]
