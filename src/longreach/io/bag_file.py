@@ -6,11 +6,11 @@ Only the definitions of types that are asked for are read, so that a bag with me
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -62,7 +62,6 @@ class BagFile:
         self.start_ns, self.end_ns = 0, 0
         if self.connections:
             self.start_ns, self.end_ns = int(reader.start_time), int(reader.end_time) - 1
-        self._store_of = cache(self._store)
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -83,8 +82,9 @@ class BagFile:
     def messages(self, topics: Collection[tuple[str, str]]) -> Iterator[tuple[str, str, int, Any]]:
         """Yield name, type, time of recording and message of some (name, type), in the order of that time."""
         with _explained(self.path):
+            stores = {type: self._store_of(type) for name, type in topics}
             for name, type, receive_ns, raw in self.raw_messages(topics):
-                store = self._store_of(type)
+                store = stores[type]
                 message = store.deserialize_ros1(raw, type) if self._is_ros1 else store.deserialize_cdr(raw, type)
                 yield name, type, receive_ns, message
 
@@ -100,20 +100,24 @@ class BagFile:
             return lambda raw: _time_ns(raw, 4, "little", signed=False)
         return lambda raw: _time_ns(raw, 4, "little" if raw[1] & 1 else "big", signed=True)  # after CDR's four bytes
 
-    def _store(self, type: str) -> Any:
-        """Return a type store for one type: from the bag's own definition, else (before ROS 2 Iron) from Humble's."""
-        definition = next(c.msgdef for c in self.connections if c.msgtype == type)
-        if definition.format == MessageDefinitionFormat.NONE:
-            return get_typestore(Stores.ROS2_HUMBLE)
-        store = get_typestore(Stores.EMPTY)
-        if definition.format == MessageDefinitionFormat.MSG:
-            store.register(get_types_from_msg(definition.data, type))
-            return store
-        text = definition.data
-        parts = [part.partition("\n")[2] for part in text.split(_IDL)[1:]] if text.startswith(_IDL) else [text]
-        for part in parts:
-            store.register(get_types_from_idl(part))
+    def _store_of(self, type: str) -> Any:
+        return _store(next(c.msgdef for c in self.connections if c.msgtype == type), type)
+
+
+@lru_cache(maxsize=64)  # rosbags makes code for a type when it is first used, which takes longer than a small bag
+def _store(definition: MessageDefinition, type: str) -> Any:
+    """Return a type store for one type: from the bag's own definition, else (before ROS 2 Iron) from Humble's."""
+    if definition.format == MessageDefinitionFormat.NONE:
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY)
+    if definition.format == MessageDefinitionFormat.MSG:
+        store.register(get_types_from_msg(definition.data, type))
         return store
+    text = definition.data
+    parts = [part.partition("\n")[2] for part in text.split(_IDL)[1:]] if text.startswith(_IDL) else [text]
+    for part in parts:
+        store.register(get_types_from_idl(part))
+    return store
 
 
 def _time_ns(raw: bytes, at: int, order: Any, *, signed: bool) -> int:

@@ -33,28 +33,31 @@ def choose_topics(
 ) -> tuple[dict[str, Topic], tuple[str, ...]]:
     """Return the topic of each sensor that the bag has, by its name in `Topics`, and remarks.
 
-    A topic that the description names must be there if the bag has any topic of that type: its name is wrong then.
+    A topic that the description names must be there if the bag has an unused one of that type: its name is wrong then.
     Otherwise the bag lacks that sensor, which is a remark, as is a missing reference that was not asked for.
 
     Raises:
         RecordingError: a named topic is missing or of the wrong type, or there are several and none is named.
     """
+    names = {role: getattr(robot.topics, role) for role in _TYPES}
+    if truth_topic is not None:
+        names["truth"] = truth_topic
     chosen: dict[str, Topic] = {}
-    remarks = []
-    for role, types in _TYPES.items():
-        name = truth_topic if role == "truth" and truth_topic is not None else getattr(robot.topics, role)
-        there = [topic for topic in bag.topics if topic.type in types]
-        if name is None:
-            topic = _only(bag, robot, role, there) if role in _FOUND_BY_TYPE else None
-        elif any(topic.name == name for topic in bag.topics):
-            topic = _named(bag, role, name, types)
-        elif (role == "truth" and truth_topic is None) or not (there or name == truth_topic):
-            topic = None
-            remarks.append(f"There is no topic {name}, so the recording is read without {role}.")
-        else:
-            raise RecordingError(f"{bag.path} has no topic {name} for {role}; it has {listed(bag.topics)}.")
-        if topic is not None:
+    for role, name in names.items():
+        others = {other for r, other in names.items() if r != role}
+        free = [topic for topic in bag.topics if topic.type in _TYPES[role] and topic.name not in others]
+        if any(topic.name == name for topic in bag.topics):
+            chosen[role] = _named(bag, role, str(name))
+        elif name is None and role in _FOUND_BY_TYPE and (topic := _only(bag, robot, role, free)) is not None:
             chosen[role] = topic
+    remarks = []
+    unused = [topic for topic in bag.topics if topic not in chosen.values()]
+    for role in sorted(names.keys() - chosen.keys()):
+        if (name := names[role]) is None:
+            continue
+        if name == truth_topic or (role != "truth" and any(topic.type in _TYPES[role] for topic in unused)):
+            raise RecordingError(f"{bag.path} has no topic {name} for {role}; it has {listed(bag.topics)}.")
+        remarks.append(f"There is no topic {name}, so the recording is read without {role}.")
     if "wheels" in chosen and chosen["wheels"].type == JOINT_STATE and robot.base is None:
         raise RecordingError(
             f"{chosen['wheels'].name} holds joints, but the description of {robot.name} has no base that names the "
@@ -68,8 +71,8 @@ def listed(topics: Sequence[Topic]) -> str:
     return ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none with messages"
 
 
-def _named(bag: BagFile, role: str, name: str, types: Sequence[str]) -> Topic:
-    topics = [topic for topic in bag.topics if topic.name == name]
+def _named(bag: BagFile, role: str, name: str) -> Topic:
+    topics, types = [topic for topic in bag.topics if topic.name == name], _TYPES[role]
     right = [topic for topic in topics if topic.type in types]
     if len(right) != 1:
         found = " and ".join(topic.type for topic in topics)
@@ -77,9 +80,7 @@ def _named(bag: BagFile, role: str, name: str, types: Sequence[str]) -> Topic:
     return right[0]
 
 
-def _only(bag: BagFile, robot: RobotDescription, role: str, there: Sequence[Topic]) -> Topic | None:
-    others = {name for other in _TYPES if (name := getattr(robot.topics, other)) is not None}
-    free = [topic for topic in there if topic.name not in others]
+def _only(bag: BagFile, robot: RobotDescription, role: str, free: Sequence[Topic]) -> Topic | None:
     if role == "wheels" and robot.base is None:
         free = [topic for topic in free if topic.type == ODOMETRY]
     if role == "wheels" and robot.base is not None and len(free) > 1:

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,17 +41,21 @@ _LATCHED = Qos(
 )
 
 
+@cache
+def _store(is_ros1: bool) -> Any:
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    if is_ros1:  # rosbags' ROS 1 types lack it
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    return store
+
+
 class BagWriter:
     """An open bag to write messages of the classes in `types` to."""
 
     def __init__(self, writer: Ros1Writer | Ros2Writer) -> None:
         self._writer = writer
         self._is_ros1 = isinstance(writer, Ros1Writer)
-        self._store = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.ROS2_HUMBLE)
-        if self._is_ros1:  # rosbags' ROS 1 types lack it
-            self._store.register(
-                get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-            )
+        self._store = _store(self._is_ros1)
         self.types: Types = self._store.types
         self._connections: dict[str, Any] = {}
 

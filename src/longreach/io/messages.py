@@ -49,8 +49,8 @@ def joint_state(
     stamp: float,
     names: Sequence[str],
     position: Float[np.ndarray, " n"] | None = None,
-    velocity: Float[np.ndarray, " n"] | None = None,
-    effort: Float[np.ndarray, " n"] | None = None,
+    velocity: Float[np.ndarray, " m"] | None = None,
+    effort: Float[np.ndarray, " k"] | None = None,
 ) -> Any:
     """Return a sensor_msgs/JointState; what is not given stays empty."""
     given = [np.zeros(0) if values is None else np.array(values) for values in (position, velocity, effort)]
