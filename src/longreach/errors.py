@@ -19,3 +19,7 @@ class EstimationError(LongreachError):
 
 class PlanningError(LongreachError):
     """A reference, a task or a path cannot be planned with."""
+
+
+class ModelError(LongreachError):
+    """A robot's model, a frame of it, or a configuration for it cannot be used."""

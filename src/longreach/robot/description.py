@@ -1,4 +1,4 @@
-"""What the estimation has to know of a robot: its base, its encoders, where its sensors sit, what its topics are."""
+"""A robot as data: its base and encoders, where its sensors sit, what its topics are, where its arm is described."""
 
 import math
 from typing import Annotated, Literal
@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from longreach.geometry import se3, so3
 from longreach.robot.bases import DifferentialBase, MecanumBase
+from longreach.robot.dh import DhRow
 
 _Positive = Annotated[float, Field(gt=0)]
 _Axes = tuple[_Positive, _Positive, _Positive]
@@ -142,8 +143,31 @@ class Topics(_Described):
     joints: str | None = Field(default=None, description="JointState of the arm.")
 
 
+class AttachedFrame(Mount):
+    """A frame that stands in another one of the robot."""
+
+    parent: str = Field(description="The frame it stands in.")
+
+
+class Arm(_Described):
+    """The joints beyond the base, from a URDF file beside the description or from a DH table."""
+
+    urdf: str | None = Field(default=None, description="The URDF's file; its root is the base's frame.")
+    end: str | None = Field(default=None, description="The link where the chain ends; None: the only one there is.")
+    dh: tuple[DhRow, ...] | None = Field(default=None, description="Rows of (3.7) from base_link on, instead.")
+    accelerations: tuple[_Positive, ...] | None = Field(
+        default=None, description="Hardest acceleration of each joint [rad/s² or m/s²], which a URDF cannot say."
+    )
+
+    @model_validator(mode="after")
+    def _one_says_the_chain(self) -> "Arm":
+        if (self.urdf is None) == (self.dh is None):
+            raise ValueError("give either urdf or dh")
+        return self
+
+
 class RobotDescription(_Described):
-    """One robot, as far as the estimation of its base is concerned."""
+    """One robot: what the estimation of its base has to know, and where its arm is described."""
 
     name: str = Field(description="What the robot is called.")
     base: Annotated[MecanumBase | DifferentialBase, Field(discriminator="kind")] | None = Field(
@@ -156,7 +180,14 @@ class RobotDescription(_Described):
     wheel_noise: WheelNoise = Field(default=WheelNoise(), description="How wrong its wheels are.")
     lidar: Lidar | None = Field(default=None, description="Planar laser scanner.")
     imu: ImuSensor | None = Field(default=None, description="Inertial measurement unit.")
+    arm: Arm | None = Field(default=None, description="The joints beyond the base; None: it has none.")
+    bolted: bool = Field(default=False, description="It stands in the world and q has no x, y, θ.")
+    frames: dict[str, AttachedFrame] = Field(default={}, description="Frames beside those of the URDF.")
+    tool: str | None = Field(default=None, description="The frame that planning moves; None: where the arm ends.")
     topics: Topics = Field(default=Topics(), description="Names of the topics in a recording.")
+    reach: _Axes = Field(
+        default=(10.0, 10.0, 2 * math.pi), description="Plans keep the base's x, y, θ within ± this [m, m, rad]; ours."
+    )
     velocity_limits: _Axes = Field(
         default=(1.5, 1.5, 3.0), description="Top speed [m/s, m/s, rad/s]; of usual indoor bases, give the robot's own."
     )

@@ -1,0 +1,55 @@
+"""One joint between two links, wherever it was described: the common ground of DH tables and URDF."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import ModelError
+
+Kind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
+_IDENTITY = np.eye(4)
+_IDENTITY.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one joint can do [rad or m, and per s, per s²; N·m or N]; inf: not known."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    acceleration: float = math.inf
+    effort: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ModelError(
+                f"A joint's lower limit {self.lower:g} is not below its upper limit {self.upper:g}; exchange them."
+            )
+        if not (self.velocity > 0 and self.acceleration > 0 and self.effort >= 0):
+            raise ModelError(
+                f"A joint's velocity {self.velocity:g} and acceleration {self.acceleration:g} must be above 0, "
+                f"and its effort {self.effort:g} not below."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A child link that stands in its parent link at `origin` and moves along or about `axis`, seen from there."""
+
+    name: str
+    kind: Kind
+    parent: str
+    child: str
+    origin: Float[np.ndarray, "4 4"] = field(default_factory=lambda: _IDENTITY)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    limits: Limits = Limits()
+    mimic: str | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether a number of q belongs to it."""
+        return self.kind != "fixed"

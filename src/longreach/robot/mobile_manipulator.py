@@ -1,0 +1,168 @@
+"""Base and arm as one redundant chain: q = [x, y, θ, q1..qn], base first."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import ModelError
+from longreach.robot.chain import JointLimits, KinematicChain, only_end
+from longreach.robot.description import RobotDescription
+from longreach.robot.dh import joints_of
+from longreach.robot.joint import Joint, Limits
+from longreach.robot.kinematics import Kinematics
+from longreach.robot.urdf import Urdf, read_urdf
+
+WORLD = "world"
+_BASE_LINK = "base_link"
+
+
+@dataclass(frozen=True, eq=False)
+class MobileManipulator(Kinematics):
+    """A planar base (or none, where it is bolted down), an arm (or none), frames, limits; its end is the tool.
+
+    `robot.forward(q)` is T_world_tool; a bolted arm's world is its root. `urdf`: links with shapes and masses, where
+    the description has a URDF. Whether the base can move sideways stands in the description.
+    """
+
+    description: RobotDescription
+    chain: KinematicChain
+    urdf: Urdf | None = None
+
+    def __post_init__(self) -> None:
+        self._hold(self.chain.fixed, self.chain.prismatic)
+
+    @property
+    def name(self) -> str:
+        """What the robot is called."""
+        return self.description.name
+
+    @property
+    def base(self) -> slice:
+        """Where q holds x, y, θ; nowhere for a bolted arm."""
+        return slice(0, 0 if self.description.bolted else 3)
+
+    @property
+    def arm(self) -> slice:
+        """Where q holds the arm's joints."""
+        return slice(self.base.stop, self.dof)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints in the order of q."""
+        return self.chain.joint_names
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The names that `frame` and `with_tool` know."""
+        return tuple(self.chain.frames)
+
+    @property
+    def tool(self) -> str:
+        """The frame that `forward` tells of."""
+        return self.chain.end
+
+    @property
+    def limits(self) -> JointLimits:
+        """Limits of position, velocity, acceleration and effort, each (n,)."""
+        return self.chain.limits
+
+    @property
+    def lower(self) -> Float[np.ndarray, " n"]:
+        """The lower limits of q [m or rad]."""
+        return self.limits.lower
+
+    @property
+    def upper(self) -> Float[np.ndarray, " n"]:
+        """The upper limits of q [m or rad]."""
+        return self.limits.upper
+
+    def with_tool(self, frame: str) -> "MobileManipulator":
+        """Return this robot with another of its frames as the tool.
+
+        Raises:
+            ModelError: there is no such frame; the sentence names those there are.
+        """
+        return replace(self, chain=self.chain.ending(frame))
+
+    def with_limits(self, lower: Float[np.ndarray, " n"], upper: Float[np.ndarray, " n"]) -> "MobileManipulator":
+        """Return this robot with other limits of q [m or rad].
+
+        Raises:
+            ModelError: a length that does not fit, a NaN, or a lower limit that is not below its upper one.
+        """
+        if np.shape(lower) != (self.dof,) or np.shape(upper) != (self.dof,):
+            raise ModelError(
+                f"The limits have the shapes {np.shape(lower)} and {np.shape(upper)}, but q has {self.dof} numbers."
+            )
+        return replace(self, chain=self.chain.with_limits(replace(self.limits, lower=lower, upper=upper)))
+
+    def frame(self, name: str, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
+        """Return T_world_frame of any frame, at one configuration or at many; (3.8)."""
+        return self.chain.ending(name).forward(q)
+
+    def frame_and_jacobian(
+        self, name: str, q: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 n"]]:
+        """Return T_world_frame and its Jacobian, whose columns are 0 for joints beyond the frame."""
+        return self.chain.ending(name).forward_and_jacobian(q)
+
+    @classmethod
+    def from_description(cls, description: RobotDescription, folder: Path) -> "MobileManipulator":
+        """Return the robot of a description; a URDF's file is looked for in `folder`.
+
+        Raises:
+            ModelError: the URDF cannot be used, a frame's parent is not there, or the URDF and the description place
+                a sensor differently.
+        """
+        arm, urdf = description.arm, None
+        root, end, joints = _BASE_LINK, _BASE_LINK, []
+        if arm is not None and arm.urdf is not None:
+            urdf = read_urdf(folder / arm.urdf)
+            root, joints = urdf.root, list(urdf.joints)
+            end = arm.end or only_end(joints, root)
+        elif arm is not None and arm.dh is not None:
+            joints = joints_of(arm.dh, root)
+            end = arm.end or joints[-1].child
+        if not description.bolted:
+            joints = [*_planar(description, root), *joints]
+        chain = KinematicChain.from_joints(joints, root if description.bolted else WORLD, end)
+        if arm is not None and arm.accelerations is not None:
+            chain = _accelerated(chain, arm.accelerations)
+        chain = _with_frames(chain, description, _BASE_LINK if _BASE_LINK in chain.frames else root)
+        return cls(description, chain.ending(description.tool or end), urdf)
+
+
+def _planar(description: RobotDescription, root: str) -> list[Joint]:
+    """Return the joints x, y, θ between the world and the base, rows 1 to 4 of Table B.1."""
+    reach, speed, hardest = description.reach, description.velocity_limits, description.acceleration_limits
+    limits = [Limits(-reach[i], reach[i], speed[i], hardest[i]) for i in range(3)]
+    return [
+        Joint("base_x", "prismatic", WORLD, "base_x_link", axis=(1.0, 0.0, 0.0), limits=limits[0]),
+        Joint("base_y", "prismatic", "base_x_link", "base_y_link", axis=(0.0, 1.0, 0.0), limits=limits[1]),
+        Joint("base_theta", "revolute", "base_y_link", root, limits=limits[2]),
+    ]
+
+
+def _accelerated(chain: KinematicChain, accelerations: tuple[float, ...]) -> KinematicChain:
+    hardest = chain.limits.acceleration.copy()
+    if len(accelerations) > len(hardest):
+        raise ModelError(f"There are {len(accelerations)} accelerations for {len(hardest)} joints.")
+    hardest[len(hardest) - len(accelerations) :] = accelerations
+    return chain.with_limits(replace(chain.limits, acceleration=hardest))
+
+
+def _with_frames(chain: KinematicChain, description: RobotDescription, base: str) -> KinematicChain:
+    """Return the chain with the description's own frames and its sensors."""
+    for name, placed in description.frames.items():
+        chain = chain.with_frame(name, placed.parent, placed.matrix())
+    for kind, sensor in (("lidar", description.lidar), ("imu", description.imu)):
+        if sensor is None or sensor.mount is None:
+            continue
+        name, T = sensor.frame or kind, sensor.mount.matrix()
+        if name not in chain.frames:
+            chain = chain.with_frame(name, base, T)
+        elif not np.allclose(chain.relative(base, name), T, atol=1e-6):
+            raise ModelError(f"The description and its URDF place {name} differently in {base}; make them agree.")
+    return chain
