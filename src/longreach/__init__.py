@@ -19,6 +19,9 @@ _PUBLIC = {
     "JointState": "longreach.measurement",
     "Recording": "longreach.measurement",
     "PoseTrajectory": "longreach.trajectory",
+    "KinematicChain": "longreach.robot.chain",
+    "MobileManipulator": "longreach.robot.mobile_manipulator",
+    "load_robot": "longreach.io.robots",
     "Reference": "longreach.reference",
     "ConfigurationTrajectory": "longreach.configuration",
 }
