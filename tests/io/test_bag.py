@@ -125,6 +125,12 @@ def test_wheels_that_are_nowhere_in_their_topic_are_an_error(mcap):
         mcap.read(robot())
 
 
+def test_joints_that_are_no_wheels_do_not_keep_the_lidar_from_being_read(mcap):
+    found = mcap.joints("/arm", 1.0, ["a", "b", "c"], np.zeros(3)).scan("/scan", 1.0).read(robot())
+    assert (len(found.wheels), len(found.scans)) == (0, 1)
+    assert found.remarks == ("1 messages of /arm hold nothing that can be used.",)
+
+
 def test_a_named_topic_that_is_missing_is_an_error_that_tells_what_is_there(mcap):
     mcap.joints("/j", 1.0, WHEELS, np.zeros(2)).scan("/scan", 1.0)
     with pytest.raises(
@@ -159,6 +165,12 @@ def test_truth_fixes_and_joints_are_read_only_if_named(bag):
     np.testing.assert_allclose(found.truth.poses, [[1, 2, 3]])
     np.testing.assert_allclose(found.fixes[0].covariance, fix.covariance)
     assert found.joints[0].names == ("a",)
+
+
+def test_fixes_that_do_not_tell_how_good_they_are_are_a_remark(mcap):
+    mcap.joints("/j", 1.0, WHEELS, np.zeros(2)).pose("/p", 1.0, [1, 2, 3])
+    remark = "1 fixes of /p have no covariance; they are taken to be good to 0.01 m, 0.01 rad."
+    assert mcap.read(robot(fixes="/p")).remarks == (remark,)
 
 
 @pytest.mark.parametrize("kind", ["pose", "odometry", "covariance", "transform", "tf"])

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from longreach.errors import RecordingError
 from longreach.geometry import se3
@@ -195,3 +196,15 @@ def test_any_standard_message_can_be_written(tmp_path):
         bag.write("/imu", imu(bag.types, 1.0, Imu(1.0, np.ones(3), np.zeros(3))), 2.0)
         bag.write("/text", bag.types["std_msgs/msg/String"]("hello"), 1.0)
     assert read_bag(tmp_path / "run.mcap", robot(topics=Topics())).imu[0].stamp == 1.0
+
+
+def test_ros_knows_the_types_that_are_written(tmp_path, rng):
+    """AnyReader compares each definition with its hash; those of ROS 1 are also what ROS itself says they are."""
+    for name in FORMATS:
+        write_bag(tmp_path / name, recording(rng, 1.0, WheelTicks), robot())
+        with AnyReader([tmp_path / name]) as bag:
+            digests = {c.msgtype: c.digest for c in bag.connections}
+        if name.endswith(".bag"):
+            assert digests["tf2_msgs/msg/TFMessage"] == "94810edda583a504dfda3829e70d7eec"
+            assert digests["sensor_msgs/msg/JointState"] == "3066dcd76a6cfaef579bd0f34173e9fd"
+            assert digests["sensor_msgs/msg/LaserScan"] == "90c7ef2dc6895d81024acba2ac42f369"

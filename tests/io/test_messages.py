@@ -83,12 +83,15 @@ def test_an_imu_that_says_it_measured_no_turn_is_left_out():
 
 
 def test_a_fix_without_covariance_is_good_to_a_centimetre():
-    found = records.fix(messages.pose_stamped(TYPES, 1.0, np.array([1.0, 2.0, 0.5])))(stamp=1.0)
+    known, make = records.fix(messages.pose_stamped(TYPES, 1.0, np.array([1.0, 2.0, 0.5])))
+    found = make(stamp=1.0)
+    assert not known
     np.testing.assert_allclose(found.covariance, 1e-4 * np.eye(3))
 
 
 def test_a_fix_without_heading_does_not_measure_it():
-    found = records.fix(messages.pose_stamped(TYPES, 1.0, np.array([1.0, 2.0, 0.5]), has_heading=False))(stamp=1.0)
+    _, make = records.fix(messages.pose_stamped(TYPES, 1.0, np.array([1.0, 2.0, 0.5]), has_heading=False))
+    found = make(stamp=1.0)
     np.testing.assert_array_equal(found.pose, [1.0, 2.0, 0.0])
     np.testing.assert_allclose(found.covariance, np.diag([1e-4, 1e-4, math.inf]))
 

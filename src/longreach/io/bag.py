@@ -72,11 +72,15 @@ def read_bag(
             raise RecordingError(f"{path} has neither wheels nor LIDAR nor IMU; it has {listed(bag.topics)}.")
         sensors = {role: _Sensor(topic) for role, topic in chosen.items()}
         tree = _read_all(bag, sensors, robot, progress or (lambda fraction: None))
-    _keep_wheels(sensors.get("wheels"), robot)
+    if "wheels" in sensors:
+        needed = robot.topics.wheels is not None or not sensors.keys() & {"lidar", "imu"}
+        _keep_wheels(sensors["wheels"], robot, needed)
+    guesses = _take_guesses(sensors["fixes"]) if "fixes" in sensors else ()
     truth, said = _truth(sensors.pop("truth", None))
     made, recorded, repairs = _records(sensors)
     frames = {record.frame for role in ("lidar", "imu") for record in made.get(role, ())}
     mounts, moving = tree.mounts(sorted(frames))
+    lost = (f"{frame} moves in the base, so no mount is known of it." for frame in moving)
     return Recording(
         name=path.stem,
         wheels=made.get("wheels", ()),
@@ -87,12 +91,7 @@ def read_bag(
         truth=truth,
         mounts=mounts,
         recorded_stamps=recorded,
-        remarks=(
-            *remarks,
-            *said,
-            *repairs,
-            *(f"{frame} moves in the base, so no mount is known of it." for frame in moving),
-        ),
+        remarks=(*remarks, *said, *guesses, *repairs, *lost),
     )
 
 
@@ -149,20 +148,28 @@ def _read_wheels(message: Any, robot: RobotDescription) -> Any:
     return None if make is None else (True, make)
 
 
-def _keep_wheels(sensor: _Sensor | None, robot: RobotDescription) -> None:
-    """Where some messages name the wheels, leave out those that do not."""
-    if sensor is None:
-        return
-    if not sensor.read:
+def _keep_wheels(sensor: _Sensor, robot: RobotDescription, needed: bool) -> None:
+    """Where some messages name the wheels, leave out those that do not; that there are none may be an error."""
+    if needed and not sensor.read:
         wanted = "a finite pose or twist"
         if robot.base is not None and sensor.topic.type == JOINT_STATE:
             signal = robot.encoder.signal if robot.encoder else "angle"
             wanted = f"the {'velocity' if signal == 'speed' else 'position'} of {', '.join(robot.base.wheel_names)}"
         raise RecordingError(f"No message of {sensor.topic.name} has {wanted}; name the wheels' topic and joints.")
     by_name = any(named for named, _ in sensor.read)
-    kept = [named or not by_name for named, _ in sensor.read]
-    sensor.keep(kept)
+    sensor.keep([named or not by_name for named, _ in sensor.read])
     sensor.read[:] = [make for _, make in sensor.read]
+
+
+def _take_guesses(sensor: _Sensor) -> tuple[str, ...]:
+    """Say how many fixes do not tell how good they are."""
+    guessed = sum(not known for known, _ in sensor.read)
+    sensor.read[:] = [make for _, make in sensor.read]
+    x, _, heading = records.FIX_DEVIATIONS
+    say = (
+        f"{guessed} fixes of {sensor.topic.name} have no covariance; they are taken to be good to {x} m, {heading} rad."
+    )
+    return (say,) if guessed else ()
 
 
 def _truth(sensor: _Sensor | None) -> tuple[PoseTrajectory | None, list[str]]:

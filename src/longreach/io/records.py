@@ -118,19 +118,23 @@ def stamped_pose(message: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray
     return _paired(planar_pose(pose.position, pose.orientation), covariance)
 
 
-def fix(message: Any) -> Make | None:
-    """Read an absolute pose; without a heading its variance is infinite."""
+def fix(message: Any) -> tuple[bool, Make] | None:
+    """Read an absolute pose: whether it says how good it is, and what makes the record.
+
+    Otherwise it is taken to be good to FIX_DEVIATIONS. Without a heading its variance is infinite.
+    """
     found = stamped_pose(message)
     if found is None:
         return None
     pose, covariance = found
+    known = covariance is not None
     if covariance is None:
         covariance = np.diag(np.square(FIX_DEVIATIONS))
     if math.isnan(pose[2]):
         pose[2] = 0.0
         covariance[2, :] = covariance[:, 2] = 0.0
         covariance[2, 2] = math.inf
-    return partial(PoseMeasurement, pose=pose, covariance=covariance)
+    return known, partial(PoseMeasurement, pose=pose, covariance=covariance)
 
 
 def planar_pose(position: Any, q: Any) -> Float[np.ndarray, "3"] | None:
