@@ -158,14 +158,19 @@ class PoseMeasurement(_Stamped):
 
 @dataclass(frozen=True, eq=False)
 class RelativePoseMeasurement(_Stamped):
-    """Pose of the base at `stamp` seen from the base at `stamp_reference`; ξ = log(pose⁻¹ · truth) has `covariance`."""
+    """Pose of the base at `stamp` seen from the base at `stamp_reference`; ξ = log(pose⁻¹ · truth) has `covariance`.
+
+    reading_covariance: where `pose` is the step between two readings of one counter, the error of a reading itself
+    (rounding, age): it does not add up from step to step as `covariance` does. None: there is none, or none is known.
+    """
 
     stamp_reference: float
     stamp: float
     pose: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     source: str = "relative"
-    _shapes: ClassVar = {"pose": (3,), "covariance": (3, 3)}
+    reading_covariance: Float[np.ndarray, "3 3"] | None = None
+    _shapes: ClassVar = {"pose": (3,), "covariance": (3, 3), "reading_covariance": (3, 3)}
 
 
 @dataclass(frozen=True, eq=False)

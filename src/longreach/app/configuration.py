@@ -1,8 +1,9 @@
 """All that can be set in an estimation, one model a step; `config.yaml` of a run holds every key."""
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.estimation.filter_config import FilterConfig
@@ -10,6 +11,7 @@ from longreach.measurement import Recording
 from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.wheel import WheelConfig
 from longreach.robot.description import RobotDescription
+from longreach.trajectory import stamp_deviation
 
 Source = Literal["wheels", "lidar", "imu", "fixes"]
 
@@ -50,11 +52,15 @@ class EstimateConfig(BaseModel):
 def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recording) -> FilterConfig:
     """Return the filter's settings for one run.
 
-    The robot's limits say how hard it accelerates; a pause in the recording may be as long as the recording.
+    The robot's limits say how hard it accelerates, the scans' rhythm how far stamps can be trusted; a pause in the
+    recording may be as long as the recording.
     """
     stamps = [records[i].stamp for records in (recording.wheels, recording.scans) if records for i in (0, -1)]
+    rhythm = np.array([record.stamp for record in recording.scans or recording.wheels])
     length = max(stamps) - min(stamps) if stamps else 0.0
-    changes = {"longest_prediction": max(config.filter.longest_prediction, length)}
+    changes: dict[str, Any] = {"longest_prediction": max(config.filter.longest_prediction, length)}
+    if "stamp_deviation" not in config.filter.model_fields_set:
+        changes["stamp_deviation"] = stamp_deviation(rhythm)
     if "acceleration_deviation" not in config.filter.model_fields_set:
         changes["acceleration_deviation"] = tuple(limit / math.sqrt(3) for limit in robot.acceleration_limits)
     if robot.imu is not None:

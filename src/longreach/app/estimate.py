@@ -143,10 +143,14 @@ def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]
 
 
 def _anchored(measurements: Sequence[RelativePoseMeasurement]) -> list[Event]:
-    """Have the filter remember the pose that each measurement refers to."""
+    """Have the filter remember the pose that each measurement refers to, where no reading carries it there."""
     events: list[Event] = []
+    carried_to = -np.inf
     for measurement in measurements:
-        events += (Anchor(measurement.stamp_reference, measurement.source), measurement)
+        if measurement.stamp_reference != carried_to:
+            events.append(Anchor(measurement.stamp_reference, measurement.source))
+        events.append(measurement)
+        carried_to = -np.inf if measurement.reading_covariance is None else measurement.stamp
     return events
 
 
@@ -194,8 +198,9 @@ def _remarks(breaks: int, matches: Sequence[ScanMatch], state: fusion.FusionStat
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
     for source, tally in state.counters.items():
         if tally.gated or tally.refused or tally.inflated:
+            total = tally.used + tally.gated + tally.refused
             remarks.append(
-                f"{source}: of {tally.used + tally.gated + tally.refused} measurements {tally.inflated} were taken with "
-                f"a larger covariance, {tally.gated} gated and {tally.refused} refused."
+                f"{source}: of {total} measurements {tally.inflated} were taken with a larger covariance, "
+                f"{tally.gated} gated and {tally.refused} refused."
             )
     return remarks

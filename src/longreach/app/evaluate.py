@@ -1,17 +1,15 @@
 """How good trajectories are: every metric that the references at hand allow."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EvaluationConfig
-from longreach.errors import LongreachError
 from longreach.estimation.fusion import Correction
 from longreach.evaluation import metrics as errors
-from longreach.evaluation.alignment import associate, need_heading
+from longreach.evaluation.alignment import associate
 from longreach.evaluation.consistency import Consistency, PoseErrors, consistency_metrics, nees, nis, pose_errors
 from longreach.evaluation.glitches import drop_glitches
 from longreach.evaluation.relations import relation_errors, relation_metrics
@@ -67,7 +65,8 @@ def against_truth(trajectory: PoseTrajectory, truth: PoseTrajectory, config: Eva
     found |= errors.relative_metrics(errors.rpe_over_distance(pairs, config.distances), "m")
     found |= errors.relative_metrics(errors.rpe_over_time(pairs, config.times), "s")
     squared = errors.mse_over_time(pairs, "none" if config.align == "none" else "first")
-    assert squared.heading is not None and squared.heading_mean is not None
+    assert squared.heading is not None
+    assert squared.heading_mean is not None
     found["position_mse"] = metric(float(squared.position_mean[-1]), "m²")
     found["heading_mse"] = metric(float(squared.heading_mean[-1]), "rad²")
     found["final_position_error"] = metric(float(np.sqrt(squared.position[-1])), "m")

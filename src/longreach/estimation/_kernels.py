@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
 BODY = 10  # error states before the anchors
@@ -106,10 +106,14 @@ def congruence(M, P):
 
 
 @kernel
-def predict(mean, P, dt, tau, variances, bias_walk):
+def predict(mean, P, dt, tau, variances, bias_walk, stamp_variance):
+    """A stamp off by ε moves the pose by vε: E[v vᵀ] · stamp_variance adds to what the pose may be off."""
     n = len(mean)
     F, Q = np.empty((n, n)), np.empty((n, n))
     new = transition(mean, dt, tau, variances, bias_walk, F, Q)  # (3.28a)
+    for i in range(3):
+        for j in range(3):
+            Q[i, j] += stamp_variance * (mean[3 + i] * mean[3 + j] + P[3 + i, 3 + j])
     return new, congruence(F, P) + Q  # (3.28b)
 
 
@@ -270,6 +274,22 @@ def correct(mean, P, r, H, R, gate, inflate):
     if not _is_finite(moved, new):
         return mean.copy(), P.copy(), np.inf, 0.0
     return moved, new, nis, scale
+
+
+@kernel
+def carry(mean, P, anchor, pose, Q):
+    """Move the anchor of that number by a pose (3,) seen from it, whose error has covariance Q (3, 3)."""
+    i, n = BODY + 3 * anchor, len(mean)
+    moved, T, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
+    moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], pose[0], pose[1], pose[2])
+    x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, A)
+    for a in range(n):
+        T[a, a] = 1.0
+    T[i : i + 3, i : i + 3] = A
+    new = congruence(T, P)
+    new[i : i + 3, i : i + 3] += Q
+    return moved, new
 
 
 @kernel

@@ -39,7 +39,17 @@ def _read_only(mean: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def predict(model: MotionModel, mean: Mean, P: Covariance, dt: float) -> tuple[Mean, Covariance]:
     """Predict dt ≥ 0 [s] ahead, (3.28)."""
-    return _read_only(*_kernels.predict(mean, P, dt, model.time_constant, model.acceleration_variance, model.bias_walk))
+    return _read_only(
+        *_kernels.predict(
+            mean,
+            P,
+            dt,
+            model.time_constant,
+            model.acceleration_variance,
+            model.bias_walk,
+            model.stamp_deviation**2,
+        )
+    )
 
 
 def correct(
@@ -63,3 +73,10 @@ def correct(
 def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
     """Remember the pose as the anchor of that number, in place of what it held; the next free number adds one."""
     return _read_only(*_kernels.clone(mean, P, anchor))
+
+
+def carry(
+    mean: Mean, P: Covariance, anchor: int, pose: Float[np.ndarray, "3"], Q: Float[np.ndarray, "3 3"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q)."""
+    return _read_only(*_kernels.carry(mean, P, anchor, pose, Q))

@@ -33,6 +33,12 @@ class FilterConfig(BaseModel):
         allow_inf_nan=False,
         description="growth of the gyro's bias [rad/s/√s]; usual for MEMS gyros",
     )
+    stamp_deviation: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="how wrong stamps are, standard deviation [s]; a recording's is measured from its scans' rhythm",
+    )
     initial_twist_deviation: _Axes = Field(
         default=(1.0, 1.0, 1.0),
         description="what is known of the twist at the start [m/s, m/s, rad/s]; a base's top speed",
@@ -69,7 +75,7 @@ class FilterConfig(BaseModel):
     def motion(self) -> MotionModel:
         """The motion model of these settings."""
         variance = np.square(self.acceleration_deviation)
-        return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2)
+        return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation)
 
     @cached_property
     def gates(self) -> tuple[float, float, float]:

@@ -211,7 +211,7 @@ def _take(
     config: FilterConfig, before: Snapshot, key: tuple[float, bool, str], event: Event
 ) -> tuple[Snapshot, Correction]:
     """Predict to the event's stamp, then place the anchor or correct by the measurement."""
-    mean, P = before.mean, before.P
+    mean, P, original = before.mean, before.P, event
     dt = float(key[0] - before.key[0])
     if dt > 0.0:
         mean, P = ekf.predict(config.motion, mean, P, dt)  # (3.28)
@@ -220,9 +220,28 @@ def _take(
         anchors = {**before.anchors, event.source: (number, event.stamp)}
         after = Snapshot(key, event, *ekf.clone(mean, P, number), anchors, before.tallies)
         return after, Correction(event.stamp, event.source, "used")
-    tally = before.tallies.get(event.source, Tally())
-    mean, P, tally, correction = _correct(config, before.anchors, mean, P, tally, event)
-    return Snapshot(key, event, mean, P, before.anchors, {**before.tallies, event.source: tally}), correction
+    tally, anchors = before.tallies.get(event.source, Tally()), before.anchors
+    if isinstance(event, RelativePoseMeasurement) and event.reading_covariance is not None:
+        mean, P, anchors, event = _carried(anchors, mean, P, event)
+    mean, P, tally, correction = _correct(config, anchors, mean, P, tally, event)
+    return Snapshot(key, original, mean, P, anchors, {**before.tallies, event.source: tally}), correction
+
+
+def _carried(
+    anchors: Mapping[str, tuple[int, float]], mean: np.ndarray, P: np.ndarray, step: RelativePoseMeasurement
+) -> tuple[np.ndarray, np.ndarray, Mapping[str, tuple[int, float]], RelativePoseMeasurement]:
+    """Take a step between two readings of a counter: the anchor goes along, and stands where the counter says we are.
+
+    So the error of a reading stays with that reading, whereas the error of the steps adds up in the anchor. Returns
+    what is left to measure: that we are at the anchor, as well as a reading tells. Without an anchor, nothing changes.
+    """
+    number, placed = anchors.get(step.source, (0, None))
+    if placed != step.stamp_reference or not np.all(np.isfinite(step.pose)):
+        return mean, P, anchors, step
+    mean, P = ekf.carry(mean, P, number, step.pose, step.covariance)
+    anchors = {**anchors, step.source: (number, step.stamp)}
+    at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), step.reading_covariance, step.source)
+    return mean, P, anchors, at_anchor
 
 
 def _correct(

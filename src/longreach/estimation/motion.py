@@ -20,11 +20,15 @@ from longreach.measurement import frozen_array
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """Time constant τ [s], stationary variance of the accelerations (3,) [(m/s²)², (rad/s²)²], bias walk [rad²/s³]."""
+    """Time constant τ [s], stationary variance of the accelerations (3,) [(m/s²)², (rad/s²)²], bias walk [rad²/s³].
+
+    stamp_deviation [s]: how wrong stamps are, which no motion can be judged finer than.
+    """
 
     time_constant: float
     acceleration_variance: Float[np.ndarray, "3"]
     bias_walk: float
+    stamp_deviation: float = 0.0
 
     def __post_init__(self) -> None:
         variance = frozen_array(self.acceleration_variance, (3,), "The acceleration's variance")

@@ -13,7 +13,7 @@ from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import solve_in_basis, symmetric_eigen
 from longreach.odometry._pyramid_kernels import build_pyramid, warp
 
-Settings = namedtuple("Settings", "reach iterations linearisations settled noise c d lags")
+Settings = namedtuple("Settings", "reach iterations linearisations settled noise c d lags share")
 
 
 @kernel(fastmath=True)
@@ -256,6 +256,8 @@ def step_scan(ranges, old, new, start, cos, sin, increments, motion, mount, sett
         old, new, start, cos, sin, increments, motion, settings, np.empty((5, n)), np.empty((4, n)), local
     )
     motion[0], motion[1], motion[2] = se2_log(x, y, theta)
+    for i in range(2):
+        local[i, i] += settings.share * settings.share * (x * x + y * y)
     x, y, theta = se2_compose(mount[0], mount[1], mount[2], x, y, theta)
     ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
     pose[0], pose[1], pose[2] = se2_compose(x, y, theta, ix, iy, it)

@@ -37,9 +37,14 @@ class RangeFlowConfig(BaseModel):
     linearisations: int = Field(3, ge=1, le=20, description="Linearisations a level at most [1]; 3: SRF 2018.")
     settled: float = Field(0.01, gt=0, description="A level's motion below this ends it [m + rad].")
     reach: float = Field(0.3, gt=0, description="Neighbours further away in range are not smoothed [m]; authors' code.")
-    noise: float = Field(0.03, gt=0, description="Floor under the derivatives in a row's weight [m]; scanners' noise.")
+    noise: float = Field(
+        0.1, gt=0, description="Floor under the derivatives in a row's weight [m]; 0.2 in SRF 2018, 0.01 of scanners."
+    )
     blend_covariance: float = Field(5000.0, ge=0, description="Pull to the last motion per variance; SRF 2018.")
     blend_constant: float = Field(0.02, ge=0, description="Constant pull to the last motion [1]; SRF 2018.")
+    share: float = Field(
+        0.1, ge=0, description="Part of the translation by which a match may be off at low beam rates [1]; ours."
+    )
     lags: int = Field(6, ge=0, le=50, description="Neighbouring beams whose errors may be correlated [1].")
 
 
@@ -145,6 +150,7 @@ def _settings(config: RangeFlowConfig) -> _range_flow_kernels.Settings:
         c=config.blend_covariance,
         d=config.blend_constant,
         lags=config.lags,
+        share=config.share,
     )
 
 

@@ -47,6 +47,7 @@ from longreach.odometry import _relative_kernels
 from longreach.robot.description import RobotDescription, WheelNoise
 
 _Kind = Literal["ticks", "speeds", "pose", "twist"]
+_FLOOR = 1e-10  # [m², rad²], of a reading: a hundredth of a millimetre keeps covariances definite
 _Variance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -123,8 +124,9 @@ def wheel_odometry(
     Q = np.empty_like(arising)
     _relative_kernels.spread_all(xi, arising, Q)
     poses, clock, rows = se2.exp(xi), stamps.tolist(), np.flatnonzero(good)
+    R = _reading(np.where(good[:, None], xi, 0.0), kind, robot) if growing else [None] * len(xi)
     measurements = tuple(
-        RelativePoseMeasurement(clock[i], clock[i + 1], poses[i], Q[i], "wheels") for i in rows.tolist()
+        RelativePoseMeasurement(clock[i], clock[i + 1], poses[i], Q[i], "wheels", R[i]) for i in rows.tolist()
     )
     slip = None if slip is None else frozen_array(slip[rows], (None,), "WheelOdometry.slip")
     return WheelOdometry(measurements, len(dt) - len(rows), refused, slip)
@@ -221,6 +223,22 @@ def _growing(xi: np.ndarray, dt: np.ndarray, noise: WheelNoise) -> np.ndarray:
     Q[:, 1, 1] += everywhere
     Q[:, 2, 2] = noise.heading_travel**2 * distance + noise.heading_turning**2 * angle + noise.heading_rest**2 * dt
     return Q
+
+
+def _reading(xi: np.ndarray, kind: _Kind, robot: RobotDescription) -> np.ndarray:
+    """Return the covariance (n, 3, 3) of a reading itself: its age, up to one step, and the rounding of a counter.
+
+    A message holds the last state of a counter that was read at some time since the message before: its age is evenly
+    spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the steps about the reading. (In CARMEN's logs
+    the pose beside a scan is just that: the last one of the wheels' own messages, up to 0.2 s old.)
+    """
+    neighbours = np.stack([np.vstack([xi[:1], xi[:-1]]), xi, np.vstack([xi[1:], xi[-1:]])])
+    R = np.einsum("kni,knj->nij", neighbours, neighbours) / (3 * 3)
+    rounding = np.full(3, _FLOOR)
+    base, encoder = robot.base, robot.encoder
+    if kind == "ticks" and base is not None and encoder is not None and encoder.resolution is not None:
+        rounding = rounding + np.sum(base.forward_matrix**2, axis=1) * encoder.resolution**2 / 12
+    return R + np.diag(rounding)
 
 
 def _windowed(residual: np.ndarray, stamps: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:

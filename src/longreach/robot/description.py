@@ -81,8 +81,8 @@ class WheelNoise(_Described):
     distance, 5 % of the angle, 1° a metre), made larger until four real logs agree (see `longreach.odometry.wheel`).
     """
 
-    along: float = Field(default=0.03, ge=0, description="In the direction of travel, after 1 m [m/√m].")
-    across: float = Field(default=0.02, ge=0, description="Across it, after 1 m [m/√m].")
+    along: float = Field(default=0.02, ge=0, description="In the direction of travel, after 1 m [m/√m].")
+    across: float = Field(default=0.015, ge=0, description="Across it, after 1 m [m/√m].")
     turning: float = Field(
         default=0.03, ge=0, description="In any direction, after a turn of 1 rad [m/√rad]; wheels scrub."
     )
