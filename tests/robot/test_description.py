@@ -11,7 +11,11 @@ from longreach.geometry import se3
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import Encoder, Mount, RobotDescription
 
-SHIPPED = {p.name.removesuffix(".yaml"): p for p in files("longreach.robot").joinpath("descriptions").iterdir()}
+SHIPPED = {
+    path.name.removesuffix(".yaml"): path
+    for path in files("longreach.robot").joinpath("descriptions").iterdir()
+    if path.name.endswith(".yaml")
+}
 
 
 def shipped(name):
@@ -34,6 +38,8 @@ def test_which_robots_are_there_and_which_can_move_sideways():
         "aces": False,
         "brenner": False,
         "husky": False,
+        "panda_cart": False,
+        "ur10": True,
     }
 
 
@@ -78,6 +84,9 @@ def test_a_mount_turns_in_the_order_roll_pitch_yaw():
         ({"encoder": {"signal": "ticks"}}, "needs counts_per_revolution"),
         ({"velocity_limits": [1.0, 0.0, 1.0]}, "greater than 0"),
         ({"lidar": {"range_max": float("inf")}}, "finite"),
+        ({"arm": {"urdf": "a.urdf", "dh": [{"d": 0.1}]}}, "either urdf or dh"),
+        ({"arm": {}}, "either urdf or dh"),
+        ({"arm": {"dh": [{"d": 0.1, "joint": "helical"}]}}, "joint"),
     ],
 )
 def test_a_description_that_cannot_be_is_refused(change, message):

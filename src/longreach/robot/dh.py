@@ -1,7 +1,7 @@
 """Standard Denavit-Hartenberg tables, the nominal ones or those a calibration found."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -70,7 +70,7 @@ def joints_of(rows: Sequence[DhRow], root: str) -> list[Joint]:
     return joints
 
 
-def rows_of(numbers: Sequence[Sequence[float | str]]) -> list[DhRow]:
+def rows_of(numbers: Sequence[Sequence[Any]]) -> list[DhRow]:
     """Return rows from plain (d, θ, a, α) or (d, θ, a, α, "revolute" | "prismatic" | "fixed").
 
     >>> rows_of([(0.1273, 0, 0, np.pi / 2), (0, 0, -0.612, 0, "prismatic")])[1].joint

@@ -168,8 +168,8 @@ def _joint(element: ElementTree.Element) -> Joint:
     name, kind = _name(element), element.get("type", "")
     if kind not in get_args(Kind):
         raise ModelError(f"Joint {name} is of the type {kind!r}; there are {', '.join(get_args(Kind))}.")
-    ends = [end.get("link", "") if (end := element.find(tag)) is not None else "" for tag in ("parent", "child")]
-    if not all(ends):
+    parent, child = (_linked(element, tag) for tag in ("parent", "child"))
+    if not (parent and child):
         raise ModelError(f"Joint {name} must name a parent and a child link.")
     try:
         line, mimic = element.find("axis"), element.find("mimic")
@@ -178,11 +178,15 @@ def _joint(element: ElementTree.Element) -> Joint:
             raise ModelError("The axis has no direction.")
         x, y, z = (axis / np.linalg.norm(axis)).tolist()
         limits = _limits(element.find("limit"), kind)
-        return Joint(
-            name, kind, *ends, _origin(element), (x, y, z), limits, None if mimic is None else mimic.get("joint")
-        )
+        follows = None if mimic is None else mimic.get("joint")
+        return Joint(name, kind, parent, child, _origin(element), (x, y, z), limits, follows)
     except ModelError as error:
         raise ModelError(f"Joint {name}: {error}") from error
+
+
+def _linked(joint: ElementTree.Element, tag: str) -> str:
+    element = joint.find(tag)
+    return "" if element is None else element.get("link", "")
 
 
 def _limits(element: ElementTree.Element | None, kind: str) -> Limits:
