@@ -25,7 +25,8 @@ def twice(x):
     return 2.0 * plus(x)
 """
 CALL = "from tiny.caller import twice; print(twice(1.0), sum(twice.stats.cache_hits.values()))"
-FOLDER = "from tiny.kernels import cache_folder; print(cache_folder())"
+FOLDER = "from tiny.kernels import cache_root; print(cache_root())"
+HASH = "from pathlib import Path; from tiny.kernels import source_hash; print(source_hash(Path('tiny/{}')))"
 
 
 @pytest.fixture
@@ -60,34 +61,44 @@ def test_an_edited_callee_in_another_file_gives_the_new_result(tiny, tmp_path):
     assert run(tiny, CALL, **cache) == "6.0 0"
 
 
-@pytest.mark.parametrize("name", ["callee.py", "caller.py"])
-def test_an_edit_of_any_kernel_file_changes_the_hash(tiny, name):
-    before = kernels.source_hash(tiny)
+@pytest.mark.parametrize("name", ["callee.py", "caller.py", "kernels.py"])
+def test_an_edit_of_what_a_kernel_file_imports_changes_its_hash(tiny, name):
+    before = run(tiny, HASH.format("caller.py"))
     (tiny / name).write_text((tiny / name).read_text() + "# edited\n")
-    assert kernels.source_hash(tiny) != before
+    assert run(tiny, HASH.format("caller.py")) != before
 
 
-def test_a_kernel_file_that_moves_changes_the_hash(tiny):
-    before = kernels.source_hash(tiny)
-    (tiny / "callee.py").rename(tiny / "moved.py")
-    assert kernels.source_hash(tiny) != before
+def test_an_edit_of_what_a_kernel_file_does_not_import_leaves_its_cache_alone(tiny):
+    before = run(tiny, HASH.format("callee.py"))
+    (tiny / "caller.py").write_text(CALLER + "# edited\n")
+    assert run(tiny, HASH.format("callee.py")) == before
 
 
-def test_an_edit_of_a_file_without_kernels_leaves_the_cache_alone(tiny):
-    before = kernels.source_hash(tiny)
-    (tiny / "plain.py").write_text("x = 1\n")
-    assert kernels.source_hash(tiny) == before
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import tiny.callee",
+        "from tiny import callee",
+        "from tiny.callee import (\n    plus,\n)",
+        "from tiny import (\n    callee,\n)",
+    ],
+)
+def test_every_form_of_import_is_followed(tiny, line):
+    (tiny / "caller.py").write_text(line + "\n")
+    before = run(tiny, HASH.format("caller.py"))
+    (tiny / "callee.py").write_text(CALLEE.format(2.0))
+    assert run(tiny, HASH.format("caller.py")) != before
 
 
 def test_the_cache_lies_where_numba_cache_dir_says(tiny, tmp_path):
     folder = Path(run(tiny, FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "mine")))
-    assert folder.parent == tmp_path / "mine"
+    assert folder == tmp_path / "mine"
     assert folder.is_dir()
 
 
 def test_the_cache_lies_in_the_users_cache_folder_otherwise(tiny, tmp_path):
     folder = Path(run(tiny, FOLDER, XDG_CACHE_HOME=str(tmp_path / "home")))
-    assert folder.parent == tmp_path / "home" / "longreach"
+    assert folder == tmp_path / "home" / "longreach"
 
 
 @pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
@@ -96,7 +107,7 @@ def test_where_nothing_can_be_written_the_cache_lies_in_the_temporary_folder(tin
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     folder = Path(run(tiny, FOLDER, TMPDIR=str(temporary), **{variable: str(tmp_path / "file" / "cache")}))
-    assert folder.parent.parent == temporary
+    assert folder.parent == temporary
     assert folder.is_dir()
 
 

@@ -1,13 +1,15 @@
 """The door through which every compiled function enters: numba with a disk cache that notices edits.
 
 numba's own cache looks only at the file of the compiled function, so an edit of a kernel that lives in another file
-would go unseen. Ours lives in a folder named by a hash over the sources of all kernels: any edit starts a new folder.
+would go unseen. Ours lies in a folder a file, named by a hash over that file and all of the package that it imports:
+an edit starts a new folder for just the kernels that it can change.
 """
 
 import hashlib
 import os
+import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,19 +17,34 @@ from typing import Any
 import numba
 from numba.core import config
 
-_MARK = "@" + "kernel"
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[\w, ]*)|import\s+([\w.]+))", re.MULTILINE)
+_PACKAGE = Path(__file__).parent
 _settings: Any = config  # its names are made at run time, out of a type checker's sight
 
 
-def _sources(package: Path) -> list[Path]:
-    return [path for path in sorted(package.rglob("*.py")) if _MARK in path.read_text(encoding="utf-8")]
+def _imported(file: Path) -> Iterator[Path]:
+    """Yield the files of this package that a file imports."""
+    for module, names, alone in _IMPORT.findall(file.read_text(encoding="utf-8")):
+        parts = (module or alone).split(".")
+        if parts[0] == _PACKAGE.name:
+            place = _PACKAGE.joinpath(*parts[1:])
+            inside = [place / f"{name.strip()}.py" for name in names.strip("()").split(",")]
+            yield from (path for path in (place.with_suffix(".py"), *inside) if path.is_file())
 
 
-def source_hash(package: Path) -> str:
-    """Return a hash over the sources of all files below `package` that define a kernel."""
+@cache
+def source_hash(file: Path) -> str:
+    """Return a hash over a file and all files of this package that it imports, directly or not."""
     digest = hashlib.sha256(f"numba {numba.__version__}".encode())
-    for path in _sources(package):
-        digest.update(path.relative_to(package).as_posix().encode())
+    seen: set[Path] = set()
+    waiting = [file.resolve()]
+    while waiting:
+        path = waiting.pop()
+        if path not in seen:
+            seen.add(path)
+            waiting += _imported(path)
+    for path in sorted(seen):
+        digest.update(os.path.relpath(path, _PACKAGE).encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -56,9 +73,14 @@ def _cache_root() -> Path:
 
 
 @cache
-def cache_folder() -> Path:
-    """Return the folder that holds the compiled kernels of just these sources."""
-    folder = _cache_root() / f"kernels-{source_hash(Path(__file__).parent)}"
+def cache_root() -> Path:
+    """Return the folder below which all compiled kernels are kept."""
+    return _cache_root()
+
+
+def cache_folder(file: Path) -> Path:
+    """Return the folder that holds the compiled kernels of just this version of a file; made where needed."""
+    folder = cache_root() / f"{file.stem.strip('_')}-{source_hash(file)}"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -75,7 +97,8 @@ def kernel(
     if function is None:
         return lambda f: kernel(f, fastmath=fastmath, entry=entry)
     before = _settings.CACHE_DIR
-    _settings.CACHE_DIR = str(cache_folder())  # numba picks a function's cache folder when it is decorated
+    file = Path(function.__code__.co_filename)
+    _settings.CACHE_DIR = str(cache_folder(file) if file.is_file() else cache_root())  # numba reads it when decorating
     try:
         # Without the run-time for arrays (_nrt), numba does not wrap each argument in an owner of its own.
         options = {"nogil": not entry, "error_model": "numpy", "fastmath": fastmath, "_nrt": not entry}
