@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from longreach.kernels import kernel
-from longreach.planning._descent_kernels import Joints, Room, descend, reached, room_for
+from longreach.planning._descent_kernels import Joints, descend, reached, room_for
 from longreach.planning._ur_kernels import arm_postures, wrist_pose
-from longreach.robot._kinematics_kernels import forward_jacobian
+from longreach.robot._kinematics_kernels import forward, forward_jacobian
 
 _APPROACH = 6  # iterations that bring the base near, before the closed form places the arm
 _DESCENT = 60  # iterations from a start
@@ -17,6 +17,7 @@ _PLACES = 300  # of the base at which the arm is tried
 _STARTS = 60  # of descents
 _SLACK = 0.05  # [rad, m] by which a posture may miss, and be polished
 _EXACT = 1e-9  # [rad, m], less is rounding
+_SAME = 1e-6  # [turns] between two postures that are one
 _WHOLE = 2.0 * math.pi
 _SQUARE = 1e-6  # by which a rotation's columns may miss unit length and right angles
 
@@ -138,9 +139,13 @@ def _draw(joints, count, number, near, reach, q):
 
 
 @kernel
-def solve(joints, arm, target, q0, q):
-    """Fill q (n,) with the best found; return iterations (or a fault) and what is left [m], [rad]."""
-    n = len(joints.lower)
+def solve(fixed, prismatic, span, ends, shape, target, q0, q):
+    """Fill q (n,) with the best found; return iterations (or a fault) and what is left [m], [rad].
+
+    span (3, n): `Joints`' lower, upper and ratios; ends and shape: `Arm`. (Plain arrays come cheaper from Python.)
+    """
+    joints, arm = Joints(fixed, prismatic, span[0], span[1], span[2]), Arm(ends, shape)
+    n = len(q)
     wrong = fault(target, q0, n)
     if wrong != 0:
         return wrong, np.inf, np.inf
@@ -191,7 +196,7 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
         trial[:] = start
         if number > 0:
             reach = 1.0 + abs(target[0, 3]) + abs(target[1, 3]) + abs(target[2, 3])
-            _draw(joints, len(start), number, start, reach, trial)
+            _draw(joints, joints.fixed.shape[0] - 1, number, start, reach, trial)
         more, p, o = descend(joints, room, target, _DESCENT, trial)
         used += more
         if p * p + o * o < best:
@@ -200,3 +205,33 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
             if reached(p, o):
                 break
     return used, position, orientation
+
+
+@kernel
+def all_postures(fixed, prismatic, span, ends, shape, target, near, Q):
+    """Put into the first rows of Q (8, 6) each way in which an arm without a base reaches the target; return how many."""
+    joints, arm = Joints(fixed, prismatic, span[0], span[1], span[2]), Arm(ends, shape)
+    room, count = room_for(6), 0
+    postures = Postures(np.empty((8, 6)), np.empty(8), np.empty(8), np.empty((4, 4)), np.empty((4, 4)))
+    place_arm(joints, arm, room, postures, target, near, near)
+    for row in range(8):
+        if postures.miss[row] > _SLACK:
+            continue
+        Q[count] = postures.Q[row]
+        _, position, orientation = descend(joints, room, target, _POLISH, Q[count])
+        if reached(position, orientation) and _is_new(Q, count):
+            count += 1
+    return count
+
+
+@kernel
+def _is_new(Q, count):
+    """Whether row `count` is another posture than each row before it; at singular postures two become one."""
+    for row in range(count):
+        off = 0.0
+        for i in range(6):
+            turn = (Q[count, i] - Q[row, i]) / _WHOLE
+            off = max(off, abs(turn - np.rint(turn)))
+        if off < _SAME:
+            return False
+    return True
