@@ -1,5 +1,7 @@
 """Base and arm as one robot: the Thing by two roads, its frames and limits, and another make of robot."""
 
+import pickle
+
 import numpy as np
 import pytest
 from jacobians import assert_is_jacobian
@@ -125,6 +127,13 @@ def test_with_tool_and_with_limits_give_new_robots_and_leave_the_old_one():
     np.testing.assert_array_equal(changed.with_tool("tool").upper, THING.upper / 2)
     with pytest.raises(ValueError, match="read-only"):
         changed.upper[0] = 0.0
+
+
+def test_a_robot_survives_being_sent_to_another_process(rng):
+    again = pickle.loads(pickle.dumps(THING))
+    q = rng.uniform(-2, 2, 9)
+    np.testing.assert_array_equal(again.forward_and_jacobian(q)[1], THING.forward_and_jacobian(q)[1])
+    assert again.description == THING.description
 
 
 def test_an_unknown_frame_and_limits_that_cannot_be_are_refused():

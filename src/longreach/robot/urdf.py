@@ -165,9 +165,10 @@ def _origin(parent: ElementTree.Element) -> np.ndarray:
 
 
 def _joint(element: ElementTree.Element) -> Joint:
-    name, kind = _name(element), element.get("type", "")
-    if kind not in get_args(Kind):
-        raise ModelError(f"Joint {name} is of the type {kind!r}; there are {', '.join(get_args(Kind))}.")
+    name, kinds = _name(element), {kind: kind for kind in get_args(Kind)}
+    kind = kinds.get(element.get("type"))
+    if kind is None:
+        raise ModelError(f"Joint {name} is of the type {element.get('type')!r}; there are {', '.join(kinds)}.")
     parent, child = (_linked(element, tag) for tag in ("parent", "child"))
     if not (parent and child):
         raise ModelError(f"Joint {name} must name a parent and a child link.")
