@@ -1,16 +1,17 @@
 """The main path: a recording in, a fused trajectory out. `estimate` reads like the method section of a paper."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, Source, filter_for
 from longreach.app.evaluate import (
+    Evaluation,
     Metrics,
+    Progress,
     Relations,
-    cleaned_truth,
     evaluate,
     innovations,
     match_consistency,
@@ -21,7 +22,6 @@ from longreach.estimation import fusion, offline
 from longreach.estimation.fusion import Anchor, Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.evaluation.consistency import consistency_metrics
-from longreach.evaluation.tables import Metric
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
 from longreach.odometry.range_flow import ScanMatch, lidar_odometry
@@ -29,25 +29,37 @@ from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory
 
-Progress = Callable[[str, float], None]
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimation gives: trajectories by name, the matches and corrections behind them, and how good they are.
-
-    trajectories: `fused`, and as far as there are such sensors `wheels` (raw integration), `lidar` (LIDAR alone) and
-    `truth`. remarks: what was repaired, left out or refused, a sentence each.
-    """
+    """What an estimation gives: trajectories by name, how good they are, and the matches and corrections behind them."""
 
     recording: Recording
     robot: RobotDescription
     config: EstimateConfig
-    trajectories: Mapping[str, PoseTrajectory]
     matches: Sequence[ScanMatch]
     corrections: Sequence[Correction]
-    metrics: Metrics
-    remarks: tuple[str, ...]
+    evaluation: Evaluation
+
+    @property
+    def trajectories(self) -> Mapping[str, PoseTrajectory]:
+        """`fused`, and as far as there are such sensors `wheels` (raw integration), `lidar` (LIDAR alone), `truth`."""
+        return self.evaluation.trajectories
+
+    @property
+    def metrics(self) -> Metrics:
+        """How good each trajectory is: name → metric → value and unit."""
+        return self.evaluation.metrics
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was repaired, left out or refused, a sentence each."""
+        return self.evaluation.remarks
+
+    @property
+    def lidar_measurements(self) -> tuple[RelativePoseMeasurement, ...]:
+        """The matches that succeeded, as the filter got them."""
+        return tuple(match.measurement for match in self.matches if match.measurement is not None)
 
 
 def estimate(
@@ -106,14 +118,12 @@ def estimate(
     trajectories = {"fused": _at_rows(fused, recording)}
     trajectories |= {name: path for name, path in dead_reckoning.items() if len(path) > 1}
     trajectories = {name: _as_recorded(path, recording) for name, path in trajectories.items()}
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state))
     tell("evaluation", 0.0)
-    if truth is not None:
-        trajectories["truth"], dropped = cleaned_truth(truth, config.evaluation)
-        remarks = (*remarks, *dropped)
-    metrics = evaluate(trajectories, trajectories.get("truth"), relations, config.evaluation)
-    _add_consistency(metrics, corrections, found, trajectories.get("truth"))
-    return Estimate(recording, robot, config, trajectories, matches, corrections, metrics, remarks)
+    evaluation = evaluate(trajectories, truth, relations, config.evaluation)
+    metrics = _with_consistency(evaluation, corrections, found)
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
+    evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
+    return Estimate(recording, robot, config, matches, corrections, evaluation)
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -162,17 +172,17 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
     return tuple(planar_imu(imu, T, noise.gyro_deviation**2, noise.acceleration_deviation**2) for imu in recording.imu)
 
 
-def _add_consistency(
-    metrics: dict[str, dict[str, Metric]],
-    corrections: Sequence[Correction],
-    matches: Sequence[RelativePoseMeasurement],
-    truth: PoseTrajectory | None,
-) -> None:
+def _with_consistency(
+    evaluation: Evaluation, corrections: Sequence[Correction], matches: Sequence[RelativePoseMeasurement]
+) -> Metrics:
     """Add the NIS of each source to the fused metrics, and the NEES of single matches to those of the LIDAR."""
+    metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
     for source, consistency in innovations(corrections).items():
-        metrics["fused"] |= consistency_metrics(f"nis_{source}", consistency)
+        metrics.setdefault("fused", {}).update(consistency_metrics(f"nis_{source}", consistency))
+    truth = evaluation.trajectories.get("truth")
     if matches and truth is not None and truth.has_heading:
         metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
+    return metrics
 
 
 def _at_rows(fused: PoseTrajectory, recording: Recording) -> PoseTrajectory:

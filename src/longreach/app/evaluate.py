@@ -1,24 +1,31 @@
 """How good trajectories are: every metric that the references at hand allow."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EvaluationConfig
+from longreach.errors import LongreachError
 from longreach.estimation.fusion import Correction
 from longreach.evaluation import metrics as errors
 from longreach.evaluation.alignment import associate
 from longreach.evaluation.consistency import Consistency, PoseErrors, consistency_metrics, nees, nis, pose_errors
 from longreach.evaluation.glitches import drop_glitches
-from longreach.evaluation.relations import relation_errors, relation_metrics
+from longreach.evaluation.relations import RelationErrors, relation_errors, relation_metrics
 from longreach.evaluation.tables import Metric, metric
 from longreach.geometry import se2
+from longreach.io.recording import read_poses
+from longreach.io.relations import read_relations
+from longreach.io.tum import read_tum
 from longreach.measurement import RelativePoseMeasurement
 from longreach.trajectory import PoseTrajectory
 
 Metrics = Mapping[str, Mapping[str, Metric]]
+Progress = Callable[[str, float], None]
 
 
 class Relations(NamedTuple):
@@ -29,26 +36,76 @@ class Relations(NamedTuple):
     poses: Float[np.ndarray, "k 3"]
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Trajectories, `truth` among them where there is one, what they are worth, and what there is to say about it."""
+
+    trajectories: Mapping[str, PoseTrajectory]
+    metrics: Metrics
+    relation_errors: Mapping[str, RelationErrors]
+    config: EvaluationConfig
+    remarks: tuple[str, ...] = ()
+
+
 def evaluate(
     trajectories: Mapping[str, PoseTrajectory],
-    truth: PoseTrajectory | None,
-    relations: Relations | None,
+    truth: PoseTrajectory | None = None,
+    relations: Relations | None = None,
     config: EvaluationConfig | None = None,
-) -> dict[str, dict[str, Metric]]:
-    """Return the metrics of each trajectory: path length, ATE, RPE, final errors, NEES, relations, as far as known."""
+) -> Evaluation:
+    """Compare each trajectory with the references: path length, ATE, RPE, final errors, NEES, relations, as known."""
     config = config or EvaluationConfig()
-    found = {}
+    remarks: tuple[str, ...] = ()
+    if truth is not None:
+        truth, remarks = _cleaned(truth, config)
+    metrics, compared = {}, {}
     for name, trajectory in trajectories.items():
-        if name == "truth" or len(trajectory) < 2:
+        if len(trajectory) < 2:
             continue
-        one = {"path_length": metric(path_length(trajectory), "m")}
+        metrics[name] = {"path_length": metric(path_length(trajectory), "m")}
         if truth is not None:
-            one |= against_truth(trajectory, truth, config)
+            metrics[name] |= against_truth(trajectory, truth, config)
         if relations is not None:
-            e = relation_errors(trajectory, *relations, longest_gap=config.longest_gap)
-            one |= relation_metrics(e, config.relations_span) | relation_metrics(e)
-        found[name] = one
-    return found
+            e = compared[name] = relation_errors(trajectory, *relations, longest_gap=config.longest_gap)
+            metrics[name] |= relation_metrics(e, config.relations_span) | relation_metrics(e)
+    if relations is not None and not any(e.used for e in compared.values()):
+        raise LongreachError("No relation has both stamps within the trajectories; are they of this recording?")
+    known = dict(trajectories) if truth is None else {**trajectories, "truth": truth}
+    return Evaluation(known, metrics, compared, config, remarks)
+
+
+def evaluate_files(estimate: Path, truth: Path | None, relations: Path | None, progress: Progress) -> Evaluation:
+    """Read and compare a TUM file, or all trajectories in the folder of an estimate; its own truth unless one is given.
+
+    Raises:
+        LongreachError: there is nothing to compare, or nothing to compare with.
+    """
+    progress("reading", 0.0)
+    trajectories = _read_estimate(estimate)
+    own = trajectories.pop("truth", None)
+    reference = read_poses(truth) if truth is not None else own
+    if reference is None and relations is None:
+        raise LongreachError(f"There is nothing to compare {estimate} with; give --truth or --relations.")
+    progress("evaluation", 0.0)
+    compared = Relations(*read_relations(relations)) if relations is not None else None
+    return evaluate(trajectories, reference, compared)
+
+
+def _read_estimate(path: Path) -> dict[str, PoseTrajectory]:
+    if not path.is_dir():
+        return {path.stem: read_poses(path)}
+    found = {file.stem: read_tum(file) for file in sorted(path.glob("*.tum")) if not file.stem.startswith("tool")}
+    if not set(found) - {"truth"}:
+        raise LongreachError(f"{path} holds no trajectories (*.tum).")
+    covariances = path / "covariance.npz"
+    if covariances.is_file():
+        with np.load(covariances) as arrays:
+            for name, trajectory in found.items():
+                P = arrays.get(f"{name}_covariance")
+                if P is not None and P.shape == (len(trajectory), 3, 3):
+                    found[name] = replace(trajectory, covariance=P)
+    order = ["fused", "wheels", "lidar"]  # the order of all tables and legends
+    return dict(sorted(found.items(), key=lambda item: (order.index(item[0]) if item[0] in order else 9, item[0])))
 
 
 def path_length(trajectory: PoseTrajectory) -> float:
@@ -76,13 +133,16 @@ def against_truth(trajectory: PoseTrajectory, truth: PoseTrajectory, config: Eva
     return found
 
 
-def cleaned_truth(truth: PoseTrajectory, config: EvaluationConfig) -> tuple[PoseTrajectory, tuple[str, ...]]:
+def _cleaned(truth: PoseTrajectory, config: EvaluationConfig) -> tuple[PoseTrajectory, tuple[str, ...]]:
     """Return the reference without jumps that no robot makes, and a remark where there were any."""
     kept, dropped = drop_glitches(truth, config.truth_speed)
     if not dropped:
         return truth, ()
-    return kept, (f"{dropped} of {len(truth)} rows of the reference jump faster than {config.truth_speed:g} m/s; "
-                  "they were left out of the comparison.",)  # fmt: skip
+    remark = (
+        f"{dropped} of {len(truth)} rows of the reference jump faster than {config.truth_speed:g} m/s; they were left "
+        "out of the comparison."
+    )
+    return kept, (remark,)
 
 
 def innovations(corrections: Sequence[Correction]) -> Mapping[str, Consistency]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from longreach.errors import RecordingError
+from longreach.io.recording_info import RecordingInfo, topic_info
 from longreach.io.text_lines import numbers, text_lines
 from longreach.measurement import LaserScan, Recording, WheelTicks
 from longreach.robot.description import RobotDescription
@@ -76,3 +77,16 @@ def read_positions(path: Path) -> PoseTrajectory:
     """Read a reference file: positions without headings."""
     table = np.array([row[:3] for row in _rows(path, "P", 4)]) * _MILLI
     return PoseTrajectory(table[:, 0], np.column_stack([table[:, 1:], np.zeros(len(table))]), has_heading=False)
+
+
+def inspect(folder: Path) -> RecordingInfo:
+    """Count and time the lines of each file."""
+    kinds = {"motors": ("M", "encoder counts"), "scan": ("S", "ranges"), "reference": ("P", "positions")}
+    stamps, topics = [], []
+    for ending, (letter, what) in kinds.items():
+        for path in sorted(folder.glob(f"*_{ending}.txt")):
+            times = np.array([row[0] for row in _rows(path, letter, 2)]) * _MILLI
+            stamps.append(times)
+            topics.append(topic_info(path.name, what, times))
+    both = np.concatenate(stamps)
+    return RecordingInfo("text files", float(both.min()), float(np.ptp(both)), tuple(topics))

@@ -17,6 +17,7 @@ import numpy as np
 
 from longreach.errors import RecordingError
 from longreach.geometry import se2
+from longreach.io.recording_info import RecordingInfo, topic_info
 from longreach.io.text_lines import numbers, text_lines
 from longreach.measurement import LaserScan, Odometry, Recording
 from longreach.robot.description import RobotDescription
@@ -170,3 +171,21 @@ def read_corrected_poses(path: Path) -> PoseTrajectory:
         raise RecordingError(f"{path} has no FLASER lines, whose poses are the reference in a corrected log.")
     rows = np.array(log.scans)
     return PoseTrajectory(rows[:, 6], rows[:, :3])
+
+
+def inspect(path: Path) -> RecordingInfo:
+    """Count and time the lines of a log by their kind."""
+    log = read_log(path)
+    kinds = {"FLASER": log.scans, "ODOM": log.odometry}
+    stamps = {kind: np.array([row[-1] for row in rows]) for kind, rows in kinds.items() if rows}
+    both = np.concatenate(list(stamps.values()))
+    beams = sorted({len(ranges) for ranges in log.ranges})
+    remarks = [f"Scans have {' or '.join(str(n) for n in beams)} beams."] if beams else []
+    remarks += [f"{count} {kind} lines are not used." for kind, count in sorted(log.others.items())]
+    return RecordingInfo(
+        format="CARMEN log",
+        start=float(both.min()),
+        duration=float(np.ptp(both)),
+        topics=tuple(topic_info(kind, "CARMEN line", values) for kind, values in stamps.items()),
+        remarks=tuple(remarks),
+    )

@@ -243,8 +243,23 @@ def match_pyramids(old, new, start, cos, sin, increments, previous, settings, wo
 
 
 @kernel
+def sampling_error(ranges, increment, x, y, theta, share):
+    """Deviation [m] of a translation because two scans sample a surface at other points.
+
+    A share of the distance between points, or of what they moved where that is less: at rest the same points are seen.
+    """
+    total, n = 0.0, 0
+    for r in ranges:
+        if r > 0.0:
+            total += r
+            n += 1
+    distance = total / max(n, 1)
+    return share * min(distance * increment, math.hypot(x, y) + distance * abs(theta))
+
+
+@kernel
 def step_scan(ranges, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance):
-    """Fill the pyramid `new` and match it against `old`,.
+    """Fill the pyramid `new` and match it against `old`.
 
     motion (3,): the laser's last twist per scan, replaced by this one's. Fills the base's pose (3,) and covariance
     (3, 3), carried from the laser through the planar mount (3,). Returns the rows used on the finest level.
@@ -256,8 +271,9 @@ def step_scan(ranges, old, new, start, cos, sin, increments, motion, mount, sett
         old, new, start, cos, sin, increments, motion, settings, np.empty((5, n)), np.empty((4, n)), local
     )
     motion[0], motion[1], motion[2] = se2_log(x, y, theta)
+    deviation = sampling_error(ranges, increments[0], x, y, theta, settings.share)
     for i in range(2):
-        local[i, i] += settings.share * settings.share * (x * x + y * y)
+        local[i, i] += deviation * deviation
     x, y, theta = se2_compose(mount[0], mount[1], mount[2], x, y, theta)
     ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
     pose[0], pose[1], pose[2] = se2_compose(x, y, theta, ix, iy, it)

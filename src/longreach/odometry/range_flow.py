@@ -43,7 +43,7 @@ class RangeFlowConfig(BaseModel):
     blend_covariance: float = Field(5000.0, ge=0, description="Pull to the last motion per variance; SRF 2018.")
     blend_constant: float = Field(0.02, ge=0, description="Constant pull to the last motion [1]; SRF 2018.")
     share: float = Field(
-        0.1, ge=0, description="Part of the translation by which a match may be off at low beam rates [1]; ours."
+        0.06, ge=0, description="Deviation of a translation in distances between beams, from aliasing [1]; ours."
     )
     lags: int = Field(6, ge=0, le=50, description="Neighbouring beams whose errors may be correlated [1].")
 

@@ -1,0 +1,89 @@
+"""What a command line names, read and checked: a recording, a robot, settings, references."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from longreach.app.configuration import EstimateConfig
+from longreach.app.evaluate import Relations
+from longreach.errors import ConfigError
+from longreach.io.config import load_description, read_config, validated
+from longreach.io.recording import read_poses, read_recording
+from longreach.io.relations import read_relations
+from longreach.measurement import PoseMeasurement, Recording
+from longreach.robot.description import RobotDescription
+from longreach.trajectory import PoseTrajectory
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """All that an estimation needs; truth and relations are for evaluation alone."""
+
+    recording: Recording
+    robot: RobotDescription
+    config: EstimateConfig
+    truth: PoseTrajectory | None
+    relations: Relations | None
+
+
+def open_run(
+    recording: Path,
+    robot: str | Path,
+    *,
+    config: Path | None = None,
+    truth: str | None = None,
+    relations: Path | None = None,
+    sources: str | None = None,
+    fixes: Path | None = None,
+    fix_sigma: float = 0.05,
+    fix_period: float = 0.0,
+    progress: Progress | None = None,
+) -> Run:
+    """Read everything, the small files first, so that what is wrong with them is said at once.
+
+    Arguments: truth: a file, or else a topic of the recording. sources: names with commas between. fixes: positions in
+    a file, taken no more often than every `fix_period` [s] with a standard deviation of `fix_sigma` [m].
+    """
+    description = load_description(robot)
+    settings = read_config(config, EstimateConfig) if config is not None else EstimateConfig()
+    if sources is not None:
+        names = [name.strip() for name in sources.split(",") if name.strip()]
+        settings = validated(EstimateConfig, settings.model_dump(exclude_unset=True) | {"sources": names}, "--sources")
+    compared = Relations(*read_relations(relations)) if relations is not None else None
+    is_file = truth is not None and Path(truth).exists()
+    reference = read_poses(Path(truth)) if truth is not None and is_file else None
+    known = _fixes(read_poses(fixes), fix_sigma, fix_period) if fixes is not None else ()
+    tell = progress or (lambda stage, fraction: None)
+    read = read_recording(
+        recording,
+        description,
+        lambda fraction: tell("reading", min(fraction, 1.0)),
+        truth_topic=None if is_file else truth,
+    )
+    if known:
+        read = read.replace(fixes=_on_clock(known, read))
+    return Run(read, description, settings, reference, compared)
+
+
+def _fixes(path: PoseTrajectory, sigma: float, period: float) -> list[PoseMeasurement]:
+    if not sigma > 0:
+        raise ConfigError(f"--fix-sigma is {sigma:g}; a standard deviation is larger than 0 m.")
+    covariance = np.diag([sigma**2, sigma**2, np.inf])
+    taken: list[PoseMeasurement] = []
+    last = -np.inf
+    for stamp, clock, pose in zip(path.stamps.tolist(), path.clock.tolist(), path.poses, strict=True):
+        if clock - last >= period:
+            taken.append(PoseMeasurement(stamp, pose, covariance, source="fixes"))
+            last = clock
+    return taken
+
+
+def _on_clock(fixes: list[PoseMeasurement], recording: Recording) -> tuple[PoseMeasurement, ...]:
+    """Put fixes, stamped as recorded, on the recording's repaired clock."""
+    repaired = {recorded: clock for clock, recorded in recording.recorded_stamps.items()}
+    moved = [PoseMeasurement(repaired.get(fix.stamp, fix.stamp), fix.pose, fix.covariance, fix.source) for fix in fixes]
+    return tuple(sorted(moved, key=lambda fix: fix.stamp))

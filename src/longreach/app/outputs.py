@@ -1,0 +1,170 @@
+"""What a run leaves behind: trajectories, covariances, metrics, the settings that ran, figures and one page.
+
+Everything is made in a temporary folder first and then put in its place: a run that fails or is interrupted leaves
+nothing half-written.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from longreach.app.estimate import Estimate, Progress, sensor_mount
+from longreach.app.evaluate import Evaluation, Metrics, innovations
+from longreach.evaluation import figures, scan_map, style
+from longreach.evaluation.alignment import align_pairs, associate, moved
+from longreach.evaluation.consistency import pose_errors
+from longreach.evaluation.metrics import mse_over_time
+from longreach.evaluation.relations import RelationErrors
+from longreach.evaluation.report import report_html
+from longreach.evaluation.tables import metric_table
+from longreach.io.config import to_yaml
+from longreach.io.tum import write_tum
+from longreach.io.whole_files import whole_folder
+from longreach.measurement import RelativePoseMeasurement
+from longreach.trajectory import PoseTrajectory
+
+_MOST_SCANS = 4000  # laid into the map: more darken it, and add nothing
+
+
+def write_estimate(estimate: Estimate, out: Path, progress: Progress | None = None) -> None:
+    """Write the files that DESIGN names for every run of an estimation."""
+    tell = progress or (lambda stage, fraction: None)
+    config = to_yaml(estimate.config)
+    e = estimate.evaluation
+    with whole_folder(out) as folder:
+        for name, trajectory in e.trajectories.items():
+            write_tum(folder / f"{name}.tum", trajectory)
+        _write_covariances(folder / "covariance.npz", e.trajectories)
+        _write_matches(folder / "lidar_matches.npz", estimate)
+        (folder / "config.yaml").write_text(config, encoding="utf-8")
+        (folder / "robot.yaml").write_text(to_yaml(estimate.robot), encoding="utf-8")
+        drawn = _comparison_figures(e) | _estimate_figures(estimate)
+        introduction = (
+            f"Recording {estimate.recording.name}, robot {estimate.robot.name}.\n\n"
+            f"{len(estimate.recording.wheels)} wheel records, {len(estimate.recording.scans)} scans, "
+            f"{len(estimate.recording.imu)} IMU readings and {len(estimate.recording.fixes)} absolute fixes."
+        )
+        _write_results(folder, f"Estimate of {estimate.recording.name}", introduction, e, drawn, config, tell)
+
+
+def write_evaluation(evaluation: Evaluation, out: Path, progress: Progress | None = None) -> None:
+    """Write metrics, figures and a page of trajectories that were held against a reference."""
+    tell = progress or (lambda stage, fraction: None)
+    with whole_folder(out) as folder:
+        config = to_yaml(evaluation.config)
+        (folder / "config.yaml").write_text(config, encoding="utf-8")
+        introduction = f"Trajectories: {', '.join(evaluation.trajectories)}."
+        _write_results(folder, "Evaluation", introduction, evaluation, _comparison_figures(evaluation), config, tell)
+
+
+def _write_results(
+    folder: Path,
+    title: str,
+    introduction: str,
+    evaluation: Evaluation,
+    drawn: Mapping[str, Callable[[], Figure]],
+    config: str,
+    tell: Progress,
+) -> None:
+    (folder / "metrics.json").write_text(_json(evaluation.metrics), encoding="utf-8")
+    (folder / "figures").mkdir()
+    pictures = {}
+    for i, (name, draw) in enumerate(drawn.items()):
+        tell("figures", i / len(drawn))
+        pictures[name] = style.png(draw())
+        (folder / "figures" / f"{name}.png").write_bytes(pictures[name])
+    page = report_html(
+        title, introduction, metric_table(evaluation.metrics), pictures, remarks=evaluation.remarks, config_yaml=config
+    )
+    (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def _json(metrics: Metrics) -> str:
+    return json.dumps(metrics, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _write_covariances(path: Path, trajectories: Mapping[str, PoseTrajectory]) -> None:
+    arrays = {}
+    for name, trajectory in trajectories.items():
+        if trajectory.covariance is not None:
+            arrays[f"{name}_stamps"] = trajectory.stamps
+            arrays[f"{name}_covariance"] = trajectory.covariance
+    np.savez_compressed(path, **arrays)
+
+
+def _write_matches(path: Path, estimate: Estimate) -> None:
+    """Write every match as the filter got it, stamps as recorded."""
+    found = estimate.lidar_measurements
+    if not found:
+        return
+    as_recorded = estimate.recording.as_recorded
+    np.savez_compressed(
+        path,
+        stamp_keyframe=as_recorded(np.array([m.stamp_reference for m in found])),
+        stamp=as_recorded(np.array([m.stamp for m in found])),
+        relative=np.array([m.pose for m in found]),
+        covariance=np.array([m.covariance for m in found]),
+        degenerate=np.array([is_degenerate(m) for m in found]),
+    )
+
+
+def is_degenerate(match: RelativePoseMeasurement) -> bool:
+    """Whether a scan matcher could tell less than 1 m or 1 rad in some direction."""
+    return bool(np.linalg.eigvalsh(match.covariance)[-1] > 1.0)
+
+
+def _comparison_figures(evaluation: Evaluation) -> dict[str, Callable[[], Figure]]:
+    """Return how to draw what compares trajectories with each other and with the references."""
+    trajectories, truth = evaluation.trajectories, evaluation.trajectories.get("truth")
+    drawn: dict[str, Callable[[], Figure]] = {"paths": lambda: figures.paths(_in_one_frame(evaluation))}
+    compared = {name: t for name, t in trajectories.items() if name != "truth"}
+    if truth is not None:
+        config = evaluation.config
+        pairs = {name: associate(t, truth, config.longest_gap) for name, t in compared.items()}
+        headings = all(p.has_heading for p in pairs.values())
+        align = config.align if config.align == "none" else "first" if headings else "rigid"
+        squared = {name: mse_over_time(p, align) for name, p in pairs.items()}
+        drawn["squared_errors"] = lambda: figures.squared_errors(squared)
+        fused = pairs.get("fused")
+        if fused is not None and fused.has_heading and fused.covariance is not None:
+            drawn["error_bounds"] = lambda: figures.error_with_bounds(pose_errors(fused, config.align != "none"))
+    if evaluation.relation_errors:
+        drawn["relations"] = lambda: figures.relation_distributions(_nonempty(evaluation.relation_errors))
+    return drawn
+
+
+def _nonempty(errors: Mapping[str, RelationErrors]) -> dict[str, RelationErrors]:
+    return {name: e for name, e in errors.items() if e.used}
+
+
+def _estimate_figures(estimate: Estimate) -> dict[str, Callable[[], Figure]]:
+    """Return how to draw what only a whole estimation knows: the scan map and the innovations."""
+    drawn: dict[str, Callable[[], Figure]] = {}
+    nis = innovations(estimate.corrections)
+    if nis:
+        drawn["innovation"] = lambda: figures.innovation(nis)
+    scans: Sequence = estimate.recording.scans
+    if scans:
+        fused, mount = estimate.trajectories["fused"], sensor_mount(estimate.recording, estimate.robot, "lidar")
+        some = scans[:: max(1, len(scans) // _MOST_SCANS)]
+        drawn["scan_map"] = lambda: scan_map.scan_map(fused, scan_map.scan_points(fused, some, mount))
+    return drawn
+
+
+def _in_one_frame(evaluation: Evaluation) -> dict[str, PoseTrajectory]:
+    """Carry the trajectories to the truth as ATE does; without one, all start where they start."""
+    truth = evaluation.trajectories.get("truth")
+    if truth is None:
+        return dict(evaluation.trajectories)
+    carried = {}
+    for name, trajectory in evaluation.trajectories.items():
+        if name != "truth":
+            _, motion = align_pairs(
+                associate(trajectory, truth, evaluation.config.longest_gap), evaluation.config.align
+            )
+            trajectory = moved(trajectory, motion)
+        carried[name] = trajectory
+    return carried
