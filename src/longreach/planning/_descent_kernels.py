@@ -14,10 +14,14 @@ from longreach.geometry._kernels import so3_log
 from longreach.kernels import kernel
 from longreach.robot._kinematics_kernels import forward_jacobian
 
-_REACHED = 1e-10  # [m, rad]; Newton's last step jumps from 1e-6 to rounding
-_DAMPING = 0.05  # of the squared error; FACTS-like trials: 0.01 to 0.5 do as well
-_FLOOR = 1e-12  # of the damping: keeps singular postures solvable
+_ENOUGH = 1e-10  # [m, rad], where a descent ends; Newton's last step jumps from 1e-6 to rounding
+REACHED = 1e-9  # [m, rad], what counts as reached; at singular postures the last digits come slowly
+_DAMPING = 0.05  # of the squared error
+_FLOOR = 1e-14  # of the damping: keeps singular postures solvable
+_LEAST = 1e-15  # pivot; less is rounding
 _PATIENCE = 6  # iterations within which the error must halve
+_SETTLED = 1e-9  # gain of the squared error, as a part of it, that is none
+_STIFF = 1e8  # damping under which nothing moves
 _FUSED = {"contract", "reassoc"}
 
 
@@ -69,7 +73,7 @@ def _solve(A, y):
         for k in range(j):
             for i in range(j, 6):
                 A[i, j] -= A[i, k] * A[j, k]
-        pivot = 1.0 / math.sqrt(max(A[j, j], 1e-300))
+        pivot = 1.0 / math.sqrt(max(A[j, j], _LEAST))
         for i in range(j + 1, 6):
             A[i, j] *= pivot
         A[j, j] = pivot
@@ -138,8 +142,8 @@ def descend(joints, room, target, most, q):
         error = position * position + orientation * orientation
         if error < 0.25 * mark:
             mark, since = error, 0
-        reached = position < _REACHED and orientation < _REACHED
-        if reached or used == most or since == _PATIENCE:
+        done = position < _ENOUGH and orientation < _ENOUGH
+        if done or used == most or since == _PATIENCE:
             return used, position, orientation
         _step(joints, room, _DAMPING * error + _FLOOR, q)
         used += 1
@@ -147,6 +151,31 @@ def descend(joints, room, target, most, q):
 
 
 @kernel
+def settle(joints, room, target, most, q, trial):
+    """Lower the error from q on as far as it goes, for a target out of reach: only steps that lower it are taken."""
+    damping = 1e-2
+    forward_jacobian(joints.fixed, joints.prismatic, q, room.T, room.J)
+    position, orientation = gap(target, room.T, room.R, room.e)
+    for used in range(most):
+        trial[:] = q
+        _step(joints, room, damping, trial)
+        forward_jacobian(joints.fixed, joints.prismatic, trial, room.T, room.J)
+        p, o = gap(target, room.T, room.R, room.e)
+        gain = position * position + orientation * orientation - p * p - o * o
+        if gain > 0.0:
+            q[:], position, orientation, damping = trial, p, o, max(0.2 * damping, _FLOOR)
+            if gain < _SETTLED * (p * p + o * o):
+                return used + 1, position, orientation
+        else:
+            damping *= 8.0
+            if damping > _STIFF:
+                return used + 1, position, orientation
+            forward_jacobian(joints.fixed, joints.prismatic, q, room.T, room.J)
+            gap(target, room.T, room.R, room.e)
+    return most, position, orientation
+
+
+@kernel
 def reached(position, orientation):
-    """Whether what `descend` left is nothing."""
-    return position < _REACHED and orientation < _REACHED
+    """Whether what `descend` left counts as nothing."""
+    return position < REACHED and orientation < REACHED

@@ -6,15 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from longreach.kernels import kernel
-from longreach.planning._descent_kernels import Joints, descend, reached, room_for
+from longreach.planning._descent_kernels import Joints, descend, reached, room_for, settle
 from longreach.planning._ur_kernels import arm_postures, wrist_pose
 from longreach.robot._kinematics_kernels import forward, forward_jacobian
 
-_APPROACH = 6  # iterations that bring the base near, before the closed form places the arm
+_APPROACH = 5  # iterations that bring the base near, before the closed form places the arm
 _DESCENT = 60  # iterations from a start
 _POLISH = 8  # iterations from a closed form to what it leaves out, a calibration's deviations
 _PLACES = 300  # of the base at which the arm is tried
-_STARTS = 60  # of descents
+_STARTS = 400  # of descents
+_SETTLING = 200  # iterations on the nearest of all, where none arrives
+_TRIED = 2  # postures at one place of the base
 _SLACK = 0.05  # [rad, m] by which a posture may miss, and be polished
 _EXACT = 1e-9  # [rad, m], less is rounding
 _SAME = 1e-6  # [turns] between two postures that are one
@@ -105,7 +107,7 @@ def _nearest_posture(joints, arm, room, postures, target, near, q, trial):
     first = joints.fixed.shape[0] - 7
     place_arm(joints, arm, room, postures, target, near, q)
     used = 0
-    for _ in range(8):
+    for _ in range(8 if first == 0 else _TRIED):
         row = np.argmin(postures.cost)
         if postures.miss[row] > _SLACK or postures.cost[row] == np.inf:
             break
@@ -191,7 +193,7 @@ def _with_arm(joints, arm, room, target, q0, start, q, trial):
 @kernel
 def _from_fresh_starts(joints, room, target, used, start, q, trial):
     """Descend from the seed and from everywhere between the limits; q keeps the best of all."""
-    best, position, orientation = np.inf, np.inf, np.inf
+    best = np.inf
     for number in range(_STARTS + 1):
         trial[:] = start
         if number > 0:
@@ -200,11 +202,12 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
         more, p, o = descend(joints, room, target, _DESCENT, trial)
         used += more
         if p * p + o * o < best:
-            best, position, orientation = p * p + o * o, p, o
+            best = p * p + o * o
             q[:] = trial
             if reached(p, o):
-                break
-    return used, position, orientation
+                return used, p, o
+    more, position, orientation = settle(joints, room, target, _SETTLING, q, trial)
+    return used + more, position, orientation
 
 
 @kernel

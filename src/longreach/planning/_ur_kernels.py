@@ -27,19 +27,18 @@ def _wrist(W, s1, c1, sign, q6):
     sin = math.sqrt(x * x + z * z)
     if sin > _ALIGNED:
         x4, z4 = -sign * x / sin, -sign * z / sin
-        q5 = math.atan2(sign * sin, cos)
+        s5, c5 = sign * sin, cos
     else:  # q6 stays, and x5 = ± x4
         cx, sx = math.cos(q6), math.sin(q6)
         x5, y5, z5 = (cx * W[0, 0] - sx * W[0, 1], cx * W[1, 0] - sx * W[1, 1], cx * W[2, 0] - sx * W[2, 1])
         x4, z4 = c1 * x5 + s1 * y5, z5
         length = math.copysign(math.sqrt(x4 * x4 + z4 * z4), cos)
         x4, z4 = x4 / length, z4 / length
-        q5 = 0.0 if cos > 0.0 else math.pi
-    s5, c5 = math.sin(q5), math.cos(q5)
+        s5, c5 = 0.0, math.copysign(1.0, cos)
     # in (x1, n, z0): x4 = (x4, 0, z4), axis 5 = x4 × n = (z4, 0, -x4), x5 = cos q5 x4 + sin q5 n
     wx, wn, wz = c1 * W[0, 0] + s1 * W[1, 0], s1 * W[0, 0] - c1 * W[1, 0], W[2, 0]
     along = c5 * (x4 * wx + z4 * wz) + s5 * wn
-    return q5, math.atan2(x4 * wz - z4 * wx, along), x4, z4
+    return math.atan2(s5, c5), math.atan2(x4 * wz - z4 * wx, along), x4, z4
 
 
 @kernel
@@ -62,9 +61,11 @@ def arm_postures(shape, W, q6, Q, miss):
             cos = (r2 - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
             r = math.sqrt(r2)
             gap = max(r - (a2 + a3), abs(a2 - a3) - r, 0.0)
-            bend = math.acos(min(max(cos, -1.0), 1.0))
+            cos = min(max(cos, -1.0), 1.0)
+            sin = math.sqrt(1.0 - cos * cos)
+            bend = math.atan2(sin, cos)
             towards, q234 = math.atan2(vz, vx), math.atan2(z4, x4)
-            lean = math.atan2(a3 * math.sin(bend), a2 + a3 * math.cos(bend))
+            lean = math.atan2(a3 * sin, a2 + a3 * cos)
             for elbow in range(2):
                 q3 = bend if elbow == 0 else -bend
                 q2 = towards - (lean if elbow == 0 else -lean)

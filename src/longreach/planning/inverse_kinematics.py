@@ -18,6 +18,7 @@ from jaxtyping import Float
 from longreach.errors import PlanningError
 from longreach.geometry import se3
 from longreach.planning import _ik_kernels
+from longreach.planning._descent_kernels import REACHED
 from longreach.planning.solution import Solution
 from longreach.planning.ur_arm import ur_arm
 from longreach.robot.chain import KinematicChain
@@ -25,7 +26,6 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 Robot = KinematicChain | MobileManipulator
 _FOUND = "The tool is at its target inside the limits."
-_REACHED = 1e-10  # [m, rad], as in `_descent_kernels`
 
 
 class _Model(NamedTuple):
@@ -60,7 +60,7 @@ def solve_ik(robot: Robot, T_world_tool: Float[np.ndarray, "4 4"], q0: Float[np.
 
     The seed may lie outside the limits. Of several postures of an arm like the UR the one nearest to the seed is taken.
     A pose that cannot be reached is answered too, with `converged` False and the nearest that was found: 1 m counts as
-    much as 1 rad. `residuals`: "position" [m] and "orientation" [rad], below 1e-10 where converged.
+    much as 1 rad. `residuals`: "position" [m] and "orientation" [rad], below 1e-9 where converged.
 
     Raises:
         PlanningError: T_world_tool is not a rigid motion, q0 is not a number a joint, or one is not finite.
@@ -74,15 +74,15 @@ def solve_ik(robot: Robot, T_world_tool: Float[np.ndarray, "4 4"], q0: Float[np.
     iterations, position, orientation = _ik_kernels.solve(*model, target, seed, q)
     if iterations < 0:
         _refuse(iterations, target, seed, n)
-    q.flags.writeable = False
+    q.setflags(write=False)
     residuals = {"position": position, "orientation": orientation}
-    if position < _REACHED and orientation < _REACHED:
+    if position < REACHED and orientation < REACHED:
         return Solution(q, _FOUND, True, iterations, residuals, ())
     status = (
         f"No configuration inside the limits was found for this pose; the nearest leaves {position:.3g} m and "
         f"{orientation:.3g} rad."
     )
-    violated = tuple(f"tool {name}" for name, left in residuals.items() if not left < _REACHED)
+    violated = tuple(f"tool {name}" for name, left in residuals.items() if not left < REACHED)
     return Solution(q, status, False, iterations, residuals, violated)
 
 
