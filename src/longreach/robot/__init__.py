@@ -1,1 +1,1 @@
-"""What a robot is: wheeled bases, and descriptions of whole robots that are data."""
+"""What a robot is: wheeled bases, chains of joints from DH tables and URDF, and descriptions that are data."""

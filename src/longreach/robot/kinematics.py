@@ -27,13 +27,14 @@ _checked = _later
 
 @cache
 def _compile() -> None:
-    """Compile the kernel for writeable arrays in C order and for nothing else.
+    """Compile the kernel for arrays in C order, a q that is writeable or read-only, and for nothing else.
 
     So an argument of another type raises TypeError, and is looked at, instead of starting the compiler.
     """
     global _checked
     f8 = types.float64
-    kernels.checked.compile((f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, ::1]))
+    for q in (types.Array(f8, 1, "C"), types.Array(f8, 1, "C", readonly=True)):
+        kernels.checked.compile((f8[:, :, ::1], q, f8[:, ::1], f8[:, ::1]))
     kernels.checked.disable_compile()
     _checked = kernels.checked
 
@@ -77,6 +78,8 @@ class Kinematics:
         Raises:
             ModelError: q has the wrong length or a number that is not finite.
         """
+        if np.ndim(q) == 1:
+            return self.forward_and_jacobian(q)[0]
         Q = self._rows(q)
         T = np.empty((len(Q), 4, 4))
         kernels.forward_batch(self._fixed, self._prismatic, Q, T)
@@ -140,5 +143,5 @@ class Kinematics:
             if not (fits and array.flags.carray):
                 raise ModelError(f"out's {name} must be a writeable array of floats in C order, of the shape {shape}.")
         _compile()
-        _checked(self._model, rows[0].copy(), T, J)  # the copy is writeable
+        _checked(self._model, rows[0], T, J)
         return T, J
