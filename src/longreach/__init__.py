@@ -24,6 +24,9 @@ _PUBLIC = {
     "load_robot": "longreach.io.robots",
     "Reference": "longreach.reference",
     "ConfigurationTrajectory": "longreach.configuration",
+    "TaskReport": "longreach.configuration",
+    "plan": "longreach.planning.planner",
+    "solve_priority": "longreach.planning.task_priority",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

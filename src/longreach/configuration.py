@@ -3,9 +3,24 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from longreach.errors import PlanningError
+
+
+@dataclass(frozen=True, eq=False)
+class TaskReport:
+    """What became of one task along a trajectory.
+
+    linear, angular (n,): the size of its error in each row [m], [rad]; unmet (n,): where that is too much; reason: a
+    sentence about the worst row, or that there is none.
+    """
+
+    name: str
+    linear: Float[np.ndarray, " n"]
+    angular: Float[np.ndarray, " n"]
+    unmet: Bool[np.ndarray, " n"]
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,7 +29,7 @@ class ConfigurationTrajectory:
 
     stamps: increasing (n,) [s]. q: (n, dof) [rad, or m where prismatic]; angles are not wrapped, neighbours are near.
     joint_names: (dof,), or empty where nobody needs them. velocities: q̇ (n, dof) [rad/s, m/s]; where not given, those
-    of the parabola through each row and its two neighbours.
+    of the parabola through each row and its two neighbours. reports: what became of the tasks it was planned for.
 
     Raises:
         PlanningError: it is empty, a shape, a number that is not finite, or stamps that do not increase.
@@ -24,6 +39,7 @@ class ConfigurationTrajectory:
     q: Float[np.ndarray, "n dof"]
     joint_names: tuple[str, ...] = ()
     velocities: Float[np.ndarray, "n dof"] = None  # type: ignore[assignment]
+    reports: tuple[TaskReport, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.stamps) == 0:

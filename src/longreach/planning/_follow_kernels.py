@@ -1,0 +1,197 @@
+"""Compiled iterations of task priority: damping that learns from what steps gained, and waypoints followed in one call.
+
+`problem` is (starts, ranged, gains, lower, upper, scheme, setting, base_damping, error_damping, strongest, reach, longest,
+z): the rows of `_priority_kernels`, each with its gain and, where ranged, its range, and the levels' inverses. `memory` is
+what one step leaves for the next, made by `remember`.
+"""
+
+import math
+
+import numpy as np
+
+from longreach.kernels import kernel
+from longreach.planning._priority_kernels import SICILIANO_SLOTINE, step, workspace
+from longreach.planning._quick_step_kernels import quick_step
+from longreach.planning._stack_kernels import stack
+from longreach.robot._kinematics_kernels import forward_jacobian
+
+_SURPRISE = 0.25  # part of an error up to which what the last waypoint's step missed is expected to be missed again
+
+
+@kernel
+def remember(M, n, levels):
+    """Memory before the first step."""
+    mu, lengths, before, promised = np.zeros(levels), np.zeros(levels), np.zeros(levels), np.zeros(levels)
+    a, floor, ceiling, goal = np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M)
+    predicted, missed, active = np.zeros(M), np.zeros(M), np.zeros(M, dtype=np.bool_)
+    pool, shares = np.zeros(M, dtype=np.int64), np.ones(levels + 1)
+    return (mu, lengths, before, promised), (a, floor, ceiling, goal, active, pool, shares), (predicted, missed), \
+        workspace(M, n)  # fmt: skip
+
+
+@kernel(fastmath={"contract", "reassoc"})
+def measure(e, starts, ranged, lower, upper, lengths):
+    """‖e‖ of each level's equations; return the largest, or how far out of its range a value is if that is more."""
+    worst = 0.0
+    for level in range(len(starts) - 1):
+        total = 0.0
+        for r in range(starts[level], starts[level + 1]):
+            if not ranged[r]:
+                total += e[r] * e[r]
+            else:
+                worst = max(worst, max(lower[r] - e[r], e[r] - upper[r]))
+        lengths[level] = math.sqrt(total)
+        worst = max(worst, lengths[level])
+    return worst
+
+
+@kernel
+def learn(strongest, levels):
+    """μ grows where a step gained less than a quarter of what its model said, and falls where more than three quarters.
+
+    Marquardt's rule, one μ a level. λ = μ ‖e‖ because what the model lacks is the chain's curvature times the error.
+    """
+    mu, lengths, before, promised = levels
+    for i in range(len(mu)):
+        if promised[i] > 1e-9 * before[i] ** 2 and before[i] > 1e-6:
+            gained = before[i] ** 2 - lengths[i] ** 2
+            if gained < 0.25 * promised[i]:
+                mu[i] = min(max(4.0 * mu[i], 0.05 * strongest), strongest)
+            elif gained > 0.75 * promised[i]:
+                mu[i] = 0.25 * mu[i] if mu[i] > 0.01 * strongest else 0.0
+        promised[i] = 0.0
+
+
+@kernel(fastmath={"contract", "reassoc"})
+def _predict(A, e, starts, ranged, dq, levels, predicted):
+    """The equations' errors after dq as their linear model says, and what each level shall gain by that."""
+    _, lengths, before, promised = levels
+    for level in range(len(starts) - 1):
+        then = 0.0
+        for r in range(starts[level], starts[level + 1]):
+            if ranged[r]:
+                continue
+            moved = e[r]
+            for k in range(len(dq)):
+                moved += A[r, k] * dq[k]
+            predicted[r] = moved
+            then += moved * moved
+        before[level] = lengths[level]
+        promised[level] = lengths[level] ** 2 - then
+
+
+@kernel(fastmath={"contract", "reassoc"})
+def _fits(A, ranged, floor, ceiling, low, high, dq):
+    for k in range(len(dq)):
+        if not low[k] <= dq[k] <= high[k]:
+            return False
+    for r in range(len(ranged)):
+        if ranged[r]:
+            moved = 0.0
+            for k in range(len(dq)):
+                moved += A[r, k] * dq[k]
+            if not floor[r] <= moved <= ceiling[r]:
+                return False
+    return True
+
+
+@kernel
+def _wishes(e, ranged, gains, lower, upper, expected, rows):
+    """What each equation wants and how far each range lets a step go; out of it, back in at the row's gain."""
+    a, floor, ceiling = rows[:3]
+    for r in range(len(e)):
+        if ranged[r]:
+            floor[r] = (lower[r] - e[r]) * (gains[r] if e[r] < lower[r] else 1.0)
+            ceiling[r] = (upper[r] - e[r]) * (gains[r] if e[r] > upper[r] else 1.0)
+        else:
+            a[r] = -gains[r] * e[r] - expected[r]
+
+
+@kernel
+def advance(e, A, low, high, problem, memory, expected, dq):
+    """dq (n,) of one iteration at errors e (M,) and Jacobian A (M, n), low <= dq <= high.
+
+    `memory`'s lengths are those of e; `expected` (M,) is what the linear model will miss.
+    """
+    starts, ranged, gains, lower, upper, scheme, setting, base, by_error, _, reach, longest, z = problem
+    levels, rows, (predicted, _), work = memory
+    mu, lengths, _, _ = levels
+    a, floor, ceiling, goal, active, pool, shares = rows
+    _, _, L, b, _, M, _, order = work
+    _wishes(e, ranged, gains, lower, upper, expected, rows)
+    plain = scheme == SICILIANO_SLOTINE
+    for i in range(len(mu)):
+        setting[i, 1] = base[i] + by_error[i] * lengths[i] ** 2 + mu[i] * lengths[i]
+    for k in range(len(z)):
+        plain &= z[k] == 0.0
+    if (
+        plain
+        and quick_step(A, a, starts, ranged, setting, order, L, M, b, dq)
+        and _fits(A, ranged, floor, ceiling, low, high, dq)
+    ):
+        shares[:] = 1.0
+        active[:] = False
+    else:
+        step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, reach, longest, z, low, high, pool,
+             work, shares, dq)  # fmt: skip
+    _predict(A, e, starts, ranged, dq, levels, predicted)
+
+
+@kernel
+def expect(e, starts, missed, expected):
+    """What the last waypoint's first step missed, where it is small beside the error e of its level."""
+    for level in range(len(starts) - 1):
+        size, surprise = 0.0, 0.0
+        for r in range(starts[level], starts[level + 1]):
+            size += e[r] * e[r]
+            surprise += missed[r] * missed[r]
+        usual = surprise <= _SURPRISE**2 * size
+        for r in range(starts[level], starts[level + 1]):
+            expected[r] = missed[r] if usual else 0.0
+
+
+@kernel
+def room(q, last, speed, longest, low, high):
+    """low, high (n,): how far one iteration may move a joint, so that in all |q - last| <= speed."""
+    for k in range(len(q)):
+        low[k] = max(-longest[k], min(last[k] - speed[k] - q[k], 0.0))
+        high[k] = min(longest[k], max(last[k] + speed[k] - q[k], 0.0))
+
+
+@kernel
+def follow(
+    fixed, prismatic, kinds, targets, speeds, longest_step, iterations, tolerance, least, problem, q, Q, E, counts
+):
+    """Q (waypoints, n) from q on, E (waypoints, M) the rows' errors there, counts (waypoints,) of iterations."""
+    starts, ranged, _, lower, upper = problem[:5]
+    n, M, levels = len(q), len(ranged), len(starts) - 1
+    T, J, e, A = np.empty((4, 4)), np.empty((6, n)), np.empty(M), np.empty((M, n))
+    low, high, dq, expected, none = np.empty(n), np.empty(n), np.zeros(n), np.zeros(M), np.zeros(M)
+    memory = remember(M, n, levels)
+    lengths, (predicted, missed) = memory[0][1], memory[2]
+    forward_jacobian(fixed, prismatic, q, T, J)
+    for k in range(len(targets)):
+        last = Q[max(k - 1, 0)]
+        for iteration in range(iterations + 1):
+            stack(kinds, targets[k], q, T, J, e, A)
+            worst = measure(e, starts, ranged, lower, upper, lengths)
+            if iteration > 0:
+                learn(problem[9], memory[0])
+            if iteration == 1:
+                missed[:] = e - predicted
+            moved = 0.0
+            for j in range(n):
+                moved = max(moved, abs(dq[j]))
+            if iteration == iterations or worst <= tolerance or (iteration > 0 and moved < least):
+                counts[k] = iteration
+                break
+            if iteration == 0:
+                expect(e, starts, missed, expected)
+            room(q, last, speeds[k], longest_step, low, high)
+            advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
+            for j in range(n):
+                q[j] += dq[j]
+            forward_jacobian(fixed, prismatic, q, T, J)
+        if counts[k] == 0:
+            missed[:] = 0.0
+        Q[k], E[k] = q, e

@@ -1,0 +1,165 @@
+"""Compiled step through all levels: strict priorities, ranges that bind only when they would be left, limits of a step.
+
+`rows` of all tasks stand one after the other: A (M, n) their Jacobian, a (M,) the speed each wants, `starts` where each
+level begins. Rows of a range (`ranged`) take part only while `active`; then they want `goal`. A step A dq keeps to the
+range where floor <= A dq <= ceiling. `setting` (levels, 5) is method, λ, rank tolerance, σ0 and v of each level's inverse,
+`reach` (levels, n) and `longest` (levels, blocks) its bounds where it is selective.
+"""
+
+import numpy as np
+
+from longreach.kernels import kernel
+from longreach.planning._hierarchy_kernels import factor, level_step
+
+SICILIANO_SLOTINE, CHIAVERINI = 0, 1
+_POOL = 6  # ranges whose 2^6 modes are tried; what else would be left just binds
+
+
+@kernel
+def workspace(M, n):
+    """Room for `descend`: V, W (n, n), L (M, n), b, y (M,), M (M, M), x (n,), rows (M,)."""
+    return (
+        np.empty((n, n)), np.empty((n, n)), np.empty((M, n)), np.empty(M), np.empty(M), np.empty((M, M)),
+        np.empty(n), np.empty(M, dtype=np.int64),
+    )  # fmt: skip
+
+
+@kernel(fastmath={"contract"})
+def _add_share(x, low, high, dq):
+    """dq += s x with the largest s <= 1 that keeps low <= dq <= high; return s."""
+    share = 1.0
+    for k in range(len(dq)):
+        if dq[k] + share * x[k] > high[k]:
+            share = max((high[k] - dq[k]) / x[k], 0.0)
+        elif dq[k] + share * x[k] < low[k]:
+            share = max((low[k] - dq[k]) / x[k], 0.0)
+    for k in range(len(dq)):
+        dq[k] += share * x[k]
+    return share
+
+
+@kernel(fastmath={"contract"})
+def _project(V, rank, x):
+    """x becomes (I - VᵀV) x over the first `rank` rows."""
+    n = len(x)
+    for _ in range(2):
+        for j in range(rank):
+            along = 0.0
+            for k in range(n):
+                along += V[j, k] * x[k]
+            for k in range(n):
+                x[k] -= along * V[j, k]
+
+
+@kernel(fastmath={"contract"})
+def _along(A, row, dq):
+    total = 0.0
+    for k in range(len(dq)):
+        total += A[row, k] * dq[k]
+    return total
+
+
+@kernel
+def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq):
+    """dq (n,) of one choice of active ranges; shares (levels + 1,): how much of each level's part there was room for."""
+    V, W, L, b, y, M, x, rows = work
+    rank = 0
+    dq[:] = 0.0
+    for level in range(len(starts) - 1):
+        m = 0
+        for r in range(starts[level], starts[level + 1]):
+            if active[r] or not ranged[r]:
+                rows[m] = r
+                b[m] = goal[r] if ranged[r] else a[r]
+                if scheme == SICILIANO_SLOTINE:
+                    b[m] -= _along(A, r, dq)
+                m += 1
+        shares[level] = 1.0
+        if m == 0:
+            continue
+        tolerance = setting[level, 2]
+        inverse = (setting[level, 0], setting[level, 1], tolerance, setting[level, 3], setting[level, 4], reach[level],
+                   longest[level])  # fmt: skip
+        if scheme == SICILIANO_SLOTINE:  # (4.16), any number of levels
+            new = factor(A, rows, m, tolerance, V, rank, L)
+            level_step(L, m, V, rank, new, inverse, b, (M, y), x)
+        else:  # (4.17)
+            new = factor(A, rows, m, tolerance, W, 0, L)
+            level_step(L, m, W, 0, new, inverse, b, (M, y), x)
+            _project(V, rank, x)
+            new = factor(A, rows, m, tolerance, V, rank, L)
+        rank = new
+        shares[level] = _add_share(x, low, high, dq)
+    x[:] = z
+    _project(V, rank, x)  # (4.15)
+    shares[len(starts) - 1] = _add_share(x, low, high, dq)
+
+
+@kernel
+def _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, size):
+    """Add to the pool the ranges that dq leaves and that do not bind; return its size and whether there was any."""
+    any_left = False
+    for r in range(len(ranged)):
+        if not ranged[r] or active[r]:
+            continue
+        moved = _along(A, r, dq)
+        slack = 1e-12 * (1.0 + abs(moved))
+        if moved >= floor[r] - slack and moved <= ceiling[r] + slack:
+            continue
+        any_left = True
+        known = False
+        for i in range(size):
+            known |= pool[i] == r
+        if not known:
+            goal[r] = floor[r] if moved < floor[r] else ceiling[r]
+            pool[size] = r
+            size += 1
+    return size, any_left
+
+
+@kernel
+def _activate(active, pool, size, mode):
+    """Of the pool's first few ranges those in the bits of `mode` bind, and of the others all."""
+    for i in range(size):
+        active[pool[i]] = i >= _POOL or ((mode >> i) & 1) == 1
+
+
+@kernel
+def _bits(mode):
+    count = 0
+    while mode:
+        count += mode & 1
+        mode >>= 1
+    return count
+
+
+@kernel
+def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, reach, longest, z, low, high, pool, work,
+         shares, dq):  # fmt: skip
+    """dq (n,) in the least restrictive mode in which every range that does not bind is kept (Moe et al. 2016).
+
+    The ranges at stake are those that a mode before would have left; `active` tells which bind in the end.
+    """
+    active[:] = False
+    descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq)
+    size, left = _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, 0)
+    while left:
+        before = size
+        tried = min(size, _POOL)
+        for count in range(1 if size <= _POOL else 0, tried + 1):
+            for mode in range(1 << tried):
+                if _bits(mode) != count:
+                    continue
+                _activate(active, pool, size, mode)
+                descend(
+                    A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq
+                )
+                size, left = _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, size)
+                if not left:
+                    return
+                if size > before:
+                    break
+            if size > before:
+                break
+        if size == before:
+            return  # all that are known bind

@@ -1,0 +1,192 @@
+"""Task priority: a configuration for tasks of which a later one never disturbs an earlier one.
+
+Siciliano–Slotine is (4.16) for any number of levels; it does all of a lower task that the higher ones leave free, and
+Chiaverini (4.17) is steadier where tasks collide but lags behind. Ranges (joint limits, distances) take part in the
+hierarchy where they stand and bind only when a step would leave them. Limits of one step shorten the part of the lowest
+level first, so that the direction of the highest task stays as it is.
+
+Source: Siciliano & Slotine 1991, "A general framework for managing multiple tasks in highly redundant robotic systems";
+Chiaverini 1997; Moe, Antonelli, Teel, Pettersen & Schrimpf 2016, "Set-based tasks within the singularity-robust multiple
+task-priority inverse kinematics framework".
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.errors import PlanningError
+from longreach.planning import _follow_kernels as kernels
+from longreach.planning._priority_kernels import CHIAVERINI, SICILIANO_SLOTINE
+from longreach.planning._pseudoinverse_kernels import DAMPED, SELECTIVE, UNDAMPED
+from longreach.planning.explanation import why
+from longreach.planning.pseudoinverse import Inverse
+from longreach.planning.solution import Solution
+from longreach.planning.stack import Stack
+from longreach.planning.task import Levels
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_SCHEMES = {"siciliano-slotine": SICILIANO_SLOTINE, "chiaverini": CHIAVERINI}
+_METHODS = {"undamped": UNDAMPED, "damped": DAMPED, "selective": SELECTIVE}
+Free = Float[np.ndarray, " n"] | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]] | None
+
+
+class TaskPriorityConfig(BaseModel):
+    """Settings of task priority."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scheme: Literal["siciliano-slotine", "chiaverini"] = Field(
+        default="siciliano-slotine", description="(4.16) for any number of levels, or (4.17)."
+    )
+    inverses: tuple[Inverse, ...] = Field(
+        default=(Inverse(method="damped"),),
+        min_length=1,
+        description="J# of each level, the last one of all further levels.",
+    )
+    learned_damping: float = Field(
+        default=1.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="Where damped, at most this times ‖e‖ is added to λ as steps miss what they promise [1]; ours, about "
+        "a chain's curvature.",
+    )
+    limits: bool = Field(default=True, description="Whether the joints' limits come before all tasks.")
+    iterations: int = Field(default=200, ge=1, description="At most so many for one configuration [1].")
+    max_step_revolute: float = Field(default=0.2, gt=0, description="Farthest a joint goes in one iteration [rad]; ours.")
+    max_step_prismatic: float = Field(default=0.2, gt=0, description="The same of a prismatic joint [m]; ours.")
+    tolerance: float = Field(default=1e-12, ge=0, description="An error that ends the iteration [m, rad]; ours.")
+    least_step: float = Field(default=1e-9, ge=0, description="A step that ends it [m, rad]; ours.")
+    met: float = Field(
+        default=1e-4, gt=0, description="A task of a smaller error counts as met [m, rad]; what TRAC-IK's authors use."
+    )
+
+
+
+def settings(config: TaskPriorityConfig, stack: Stack, z: np.ndarray) -> tuple[Any, ...]:
+    """Return what the kernels call `problem`."""
+    levels, n = len(stack.starts) - 1, stack.robot.dof
+    chosen = [config.inverses[min(i, len(config.inverses) - 1)] for i in range(levels)]
+    if config.limits:  # their level is not one that the caller counts
+        chosen = [chosen[0], *chosen[:-1]]
+    filters = [(0.0, 0.0) if c.filter is None else (c.filter.sigma0, c.filter.v) for c in chosen]
+    setting = np.array([[_METHODS[c.method], 0.0, c.rank_tolerance, *f] for c, f in zip(chosen, filters, strict=True)])
+    widest = int(np.max(np.diff(stack.starts)))
+    return (
+        stack.starts, stack.ranged, stack.gains, stack.lower, stack.upper, _SCHEMES[config.scheme], setting,
+        np.array([c.damping for c in chosen]), np.array([c.error_damping for c in chosen]),
+        float(config.learned_damping), np.array([c.max_step(stack.robot.prismatic) for c in chosen]),
+        np.array([c.max_error(widest) for c in chosen]), np.asarray(z, dtype=float).reshape(n),
+    )  # fmt: skip
+
+
+def _iterate(
+    stack: Stack, problem: tuple[Any, ...], memory: Any, q: np.ndarray, last: np.ndarray, speed: np.ndarray,
+    iterations: int, config: TaskPriorityConfig, free: Free, expects: bool,
+) -> tuple[np.ndarray, int]:  # fmt: skip
+    """Move q in place; return the rows' values there and how many iterations it took. `follow` does it compiled."""
+    n, M = len(q), len(stack.kept)
+    low, high, dq, expected, none = np.empty(n), np.empty(n), np.zeros(n), np.zeros(M), np.zeros(M)
+    lengths, (predicted, missed) = memory[0][1], memory[2]
+    farthest = farthest(stack.robot, config)
+    for iteration in range(iterations + 1):
+        e, A = stack.rows(q)
+        worst = kernels.measure(e, stack.starts, stack.ranged, stack.lower, stack.upper, lengths)
+        if iteration > 0:
+            kernels.learn(problem[9], memory[0])
+        if iteration == 1:
+            missed[:] = e - predicted
+        stuck = iteration > 0 and np.max(np.abs(dq)) < config.least_step
+        if iteration == iterations or (worst <= config.tolerance and free is None) or stuck:
+            if iteration == 0:
+                missed[:] = 0.0
+            return e, iteration
+        if iteration == 0 and expects:
+            kernels.expect(e, stack.starts, missed, expected)
+        if callable(free):
+            problem[-1][:] = free(q)
+        kernels.room(q, last, speed, farthest, low, high)
+        kernels.advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
+        q += dq
+    raise AssertionError("the last iteration returns")
+
+
+def farthest(robot: MobileManipulator, config: TaskPriorityConfig) -> np.ndarray:
+    return np.where(robot.prismatic, config.max_step_prismatic, config.max_step_revolute)
+
+
+def checked_start(robot: MobileManipulator, q0: Float[np.ndarray, " _"]) -> Float[np.ndarray, " n"]:
+    """Return a copy of q0, or say that it does not fit the robot."""
+    q = np.array(q0, dtype=float)
+    if q.shape != (robot.dof,) or not np.all(np.isfinite(q)):
+        raise PlanningError(f"The start must be {robot.dof} finite numbers, one for each joint of {robot.name}.")
+    return q
+
+
+def solve_priority(
+    robot: MobileManipulator,
+    tasks: Levels,
+    q0: Float[np.ndarray, " n"],
+    config: TaskPriorityConfig | None = None,
+    free: Free = None,
+) -> Solution:
+    """Find a configuration for tasks in order of priority, near q0 (n,) [rad or m].
+
+    Arguments: tasks: a sequence of levels, the most important first; tasks in a sequence of their own share a level.
+        free: z of (4.15), a step (n,) or a function of q that gives one, made in what all tasks leave free.
+
+    A start outside the joints' limits comes back inside. `residuals` are ‖e‖ with a length of 1 m, `status` says of each
+    task that is not met what stands against it.
+
+    Raises:
+        PlanningError: a task or the start does not fit the robot.
+    """
+    config = config or TaskPriorityConfig()
+    q = checked_start(robot, q0)
+    stack = Stack.of(robot, tasks, config.limits)
+    z = np.zeros(robot.dof) if free is None or callable(free) else free
+    if len(z) != robot.dof or not np.all(np.isfinite(z)):
+        raise PlanningError(f"The vector z must be {robot.dof} finite numbers.")
+    memory = kernels.remember(len(stack.kept), robot.dof, len(stack.starts) - 1)
+    unlimited = np.full(robot.dof, np.inf)
+    problem = settings(config, stack, z)
+    e, iterations = _iterate(
+        stack, problem, memory, q, q.copy(), unlimited, config.iterations, config, free, expects=False
+    )
+    residuals = {task.name: float(np.hypot(*stack.sizes(e, i))) for i, task in enumerate(stack.tasks)}
+    violated = tuple(name for name, size in residuals.items() if size > config.met)
+    reasons = [why(stack, q, i) for i, task in enumerate(stack.tasks) if task.name in violated]
+    status = " ".join(reasons) or "All tasks are met."
+    return Solution(q, status, not violated, iterations, residuals, violated)
+
+
+def follow(
+    robot: MobileManipulator,
+    waypoints: Sequence[Levels],
+    speeds: Float[np.ndarray, "k n"],
+    q0: Float[np.ndarray, " n"],
+    config: TaskPriorityConfig,
+    free: Free = None,
+) -> tuple[Stack, Float[np.ndarray, "k n"], Float[np.ndarray, "k M"], Int[np.ndarray, " k"]]:
+    """Return the rows' layout, configurations, the rows' values and iterations at each waypoint, from tasks of any kind.
+
+    Arguments: speeds: how far a joint may go from one waypoint to the next.
+    """
+    q, memory, problem = checked_start(robot, q0), None, None
+    z = np.zeros(robot.dof) if free is None or callable(free) else free
+    Q, E, counts = [], [], []
+    for k, tasks in enumerate(waypoints):
+        stack = Stack.of(robot, tasks, config.limits)
+        if memory is None:
+            memory = kernels.remember(len(stack.kept), robot.dof, len(stack.starts) - 1)
+        problem = settings(config, stack, z)
+        last = Q[-1] if Q else q.copy()
+        e, count = _iterate(
+            stack, problem, memory, q, last, speeds[k], config.iterations, config, free, expects=True
+        )
+        Q.append(q.copy())
+        E.append(e)
+        counts.append(count)
+    return stack, np.array(Q), np.array(E), np.array(counts)

@@ -1,0 +1,195 @@
+"""Tasks of where the tool and the base are, and of the posture of all joints."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from longreach.errors import PlanningError
+from longreach.planning import _stack_kernels as kernels
+from longreach.planning.task import Jacobian, Task, Value, named, target_array
+from longreach.reference import check_rigid
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Common(Task):
+    """A task of a kind that is compiled; `numbers` is its target."""
+
+    kind: ClassVar[int]
+
+    def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
+        T, J = robot.forward_and_jacobian(q)
+        return self._at(robot, q, T, J)
+
+    def _at(
+        self, robot: MobileManipulator, q: Float[np.ndarray, " n"], T: np.ndarray, J: np.ndarray
+    ) -> tuple[Value, Jacobian]:
+        m = len(self.angular(robot))
+        e, A = np.empty(m), np.empty((m, robot.dof))
+        kernels.stack(np.array([self.kind]), self.numbers()[None], np.asarray(q, dtype=float), T, J, e, A)
+        return e, A
+
+
+@dataclass(frozen=True, eq=False)
+class _ToolTask(_Common):
+    """Of a frame's pose; the tool's where no frame is named."""
+
+    target: Float[np.ndarray, "..."]
+    frame: str | None = None
+
+    def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
+        at = robot.forward_and_jacobian(q) if self.frame is None else robot.frame_and_jacobian(self.frame, q)
+        return self._at(robot, q, *at)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPose(_ToolTask):
+    """e = log(T_target⁻¹ T) (6,) [m, rad] (4.28); target: T_world_tool (4, 4)."""
+
+    target: Float[np.ndarray, "4 4"]
+    name: str = named("tool pose")
+    kind: ClassVar[int] = kernels.TOOL_POSE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (4, 4), self.name))
+        check_rigid(self.target[None], f"The target of {self.name}")
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "6"]:
+        return np.array([False] * 3 + [True] * 3)
+
+    def numbers(self) -> Float[np.ndarray, "16"]:
+        return self.target.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPosition(_ToolTask):
+    """e = p - p_target (3,) [m] in the world, (3.17) with its sign turned; target (3,)."""
+
+    target: Float[np.ndarray, "3"]
+    name: str = named("tool position")
+    kind: ClassVar[int] = kernels.TOOL_POSITION
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (3,), self.name))
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
+        return np.zeros(3, dtype=bool)
+
+    def numbers(self) -> Float[np.ndarray, "16"]:
+        T = np.eye(4)
+        T[:3, 3] = self.target
+        return T.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class ToolOrientation(_ToolTask):
+    """e = log(R_targetᵀ R) (3,) [rad]; target: R_world_tool (3, 3)."""
+
+    target: Float[np.ndarray, "3 3"]
+    name: str = named("tool orientation")
+    kind: ClassVar[int] = kernels.TOOL_ORIENTATION
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (3, 3), self.name))
+        check_rigid(self.numbers().reshape(1, 4, 4), f"The target of {self.name}")
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
+        return np.ones(3, dtype=bool)
+
+    def numbers(self) -> Float[np.ndarray, "16"]:
+        T = np.eye(4)
+        T[:3, :3] = self.target
+        return T.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class _BaseTask(_Common):
+    target: Float[np.ndarray, "..."]
+
+    def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
+        if robot.base.stop == 0:
+            raise PlanningError(f"{robot.name} is bolted down and has no base that {self.name} could move.")
+        return super().value_and_jacobian(robot, q)
+
+
+@dataclass(frozen=True, eq=False)
+class BasePose(_BaseTask):
+    """e = log(target⁻¹ base) in SE(2) (3,) [m, m, rad]; target: [x, y, θ]."""
+
+    target: Float[np.ndarray, "3"]
+    name: str = named("base pose")
+    kind: ClassVar[int] = kernels.BASE_POSE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (3,), self.name))
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
+        return np.array([False, False, True])
+
+    def numbers(self) -> Float[np.ndarray, "3"]:
+        return self.target
+
+
+@dataclass(frozen=True, eq=False)
+class BasePosition(_BaseTask):
+    """e = [x, y] - target (2,) [m]."""
+
+    target: Float[np.ndarray, "2"]
+    name: str = named("base position")
+    kind: ClassVar[int] = kernels.BASE_POSITION
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (2,), self.name))
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "2"]:
+        return np.zeros(2, dtype=bool)
+
+    def numbers(self) -> Float[np.ndarray, "3"]:
+        return np.append(self.target, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseHeading(_BaseTask):
+    """e = θ - target (1,) [rad], the short way round."""
+
+    target: float
+    name: str = named("base heading")
+    kind: ClassVar[int] = kernels.BASE_HEADING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        target_array(np.array(self.target), (), self.name)
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "1"]:
+        return np.ones(1, dtype=bool)
+
+    def numbers(self) -> Float[np.ndarray, "3"]:
+        return np.array([0.0, 0.0, self.target])
+
+
+@dataclass(frozen=True, eq=False)
+class Posture(_Common):
+    """e = q - target (n,) [rad, or m where prismatic]; `weights` of 0 leave joints free."""
+
+    target: Float[np.ndarray, " n"]
+    name: str = named("posture")
+    kind: ClassVar[int] = kernels.POSTURE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "target", target_array(self.target, (len(self.target),), self.name))
+
+    def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, " n"]:
+        if len(self.target) != robot.dof:
+            raise PlanningError(f"The {self.name} has {len(self.target)} numbers, but {robot.name} has {robot.dof}.")
+        return ~robot.prismatic
+
+    def numbers(self) -> Float[np.ndarray, " n"]:
+        return self.target
