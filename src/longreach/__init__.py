@@ -22,6 +22,7 @@ _PUBLIC = {
     "KinematicChain": "longreach.robot.chain",
     "MobileManipulator": "longreach.robot.mobile_manipulator",
     "load_robot": "longreach.io.robots",
+    "solve_ik": "longreach.planning.inverse_kinematics",
     "Reference": "longreach.reference",
     "ConfigurationTrajectory": "longreach.configuration",
     "TaskReport": "longreach.configuration",

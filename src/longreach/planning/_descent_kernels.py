@@ -36,7 +36,7 @@ class Joints(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Arrays to work in: pose T, Jacobian J (6, n), error e and step y (6,), normal matrix A and rotation R, step d (n,)."""
+    """Arrays to work in: pose T, Jacobian J (6, n), error e and y of A y = e (6,), rotation R, free joints (n,)."""
 
     T: np.ndarray
     J: np.ndarray
@@ -44,7 +44,7 @@ class Room(NamedTuple):
     y: np.ndarray
     A: np.ndarray
     R: np.ndarray
-    d: np.ndarray
+    free: np.ndarray
 
 
 @kernel
@@ -105,7 +105,7 @@ def _damped_step(J, free, damping, e, A, y):
 def _step(joints, room, damping, q):
     """Move q by the damped step inside the limits."""
     n = len(q)
-    J, e, y, free = room.J, room.e, room.y, room.d
+    J, e, y, free = room.J, room.e, room.y, room.free
     for k in range(n):
         free[k] = 1.0
     for _ in range(n):

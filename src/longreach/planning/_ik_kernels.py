@@ -8,7 +8,7 @@ import numpy as np
 from longreach.kernels import kernel
 from longreach.planning._descent_kernels import Joints, descend, reached, room_for, settle
 from longreach.planning._ur_kernels import arm_postures, wrist_pose
-from longreach.robot._kinematics_kernels import forward, forward_jacobian
+from longreach.robot._kinematics_kernels import forward_jacobian
 
 _APPROACH = 5  # iterations that bring the base near, before the closed form places the arm
 _DESCENT = 60  # iterations from a start
@@ -212,7 +212,7 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
 
 @kernel
 def all_postures(fixed, prismatic, span, ends, shape, target, near, Q):
-    """Put into the first rows of Q (8, 6) each way in which an arm without a base reaches the target; return how many."""
+    """Put each posture of an arm without a base that reaches the target into a row of Q (8, 6); return how many."""
     joints, arm = Joints(fixed, prismatic, span[0], span[1], span[2]), Arm(ends, shape)
     room, count = room_for(6), 0
     postures = Postures(np.empty((8, 6)), np.empty(8), np.empty(8), np.empty((4, 4)), np.empty((4, 4)))

@@ -1,8 +1,8 @@
 """Compiled closed form of arms like the UR: axes 2, 3 and 4 parallel, 1 ⟂ 2, 4 ⟂ 5 ⟂ 6, and 1-2, 4-5, 5-6 meeting.
 
-Such an arm is T = before · A(q) · after with A the product of Table B.1's arm rows, q_i there being sign_i q_i + offset_i,
-and d1 and d6 moved into `before` and `after`. In the frame 0 of `before` W = before⁻¹ T after⁻¹ is the wrist: its
-origin is where axes 5 and 6 meet, its z axis 6, and n = (sin q1, -cos q1, 0) is the common direction of axes 2, 3, 4.
+Such an arm is T = before · A(q) · after with A the product of Table B.1's arm rows, sign_i q_i + offset_i in the place
+of q_i, and d1 and d6 moved into `before` and `after`. In the frame 0 of `before` W = before⁻¹ T after⁻¹ is the wrist:
+its origin is where axes 5 and 6 meet, its z axis 6, and n = (sin q1, -cos q1, 0) the direction of axes 2, 3 and 4.
 
     W's origin · n = d4                         two q1 (shoulder)
     axis 6 · n = cos q5                         two q5 (wrist); what is left of axis 6 gives q2 + q3 + q4; then q6

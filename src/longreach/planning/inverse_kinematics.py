@@ -2,7 +2,7 @@
 
 Three stages, all in one compiled kernel, and the same for the same input:
 1. a descent from the seed that never leaves the limits (`_descent_kernels`);
-2. where the last six joints are an arm like the UR (`ur_arm`, told from the chain's numbers): the closed form of the arm
+2. where the last six joints are an arm like the UR (`ur_arm`, told from the chain's numbers): the arm's closed form
    from where the descent brought the base, and of its postures the nearest to the seed; then from where the base was,
    and from places spread evenly between the base's limits. An arm that a calibration found to deviate takes the closed
    form as a start. An arm without a base needs no descent;
@@ -21,6 +21,7 @@ from longreach.planning import _ik_kernels
 from longreach.planning._descent_kernels import REACHED
 from longreach.planning.solution import Solution
 from longreach.planning.ur_arm import ur_arm
+from longreach.robot._kinematics_kernels import forward
 from longreach.robot.chain import KinematicChain
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -117,7 +118,7 @@ def all_solutions(
 def _postures(model: _Model, target: np.ndarray, q: np.ndarray, first: int) -> np.ndarray:
     """Return all postures (k, n) of the arm that begins with joint `first`, from where q puts its base."""
     T_root = np.empty((4, 4))
-    _ik_kernels.forward(model.fixed[: first + 1], model.prismatic, q, T_root)
+    forward(model.fixed[: first + 1], model.prismatic, q, T_root)
     fixed, span = model.fixed[first:].copy(), model.span[:, first : first + 6].copy()
     fixed[0] = np.eye(4)
     near, found = q[first : first + 6].copy(), np.empty((8, 6))

@@ -78,7 +78,7 @@ def _across(v: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def _meeting(p: np.ndarray, z: np.ndarray, other: np.ndarray, z_other: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the point half way between two lines where they are nearest, and their distance there [m]."""
     across = np.cross(z, z_other)
-    s, t, d = np.linalg.solve(np.column_stack([z, -z_other, across]), other - p)
+    s, _, d = np.linalg.solve(np.column_stack([z, -z_other, across]), other - p)
     return p + s * z + 0.5 * d * across, float(np.linalg.norm(d * across))
 
 
