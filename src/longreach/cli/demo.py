@@ -11,7 +11,7 @@ from longreach.cli.tables import print_metrics
 def command(
     out: Path = typer.Option(Path("out/demo"), help="Folder for the results; made if it is not there."),
     seed: int = typer.Option(0, help="Seed of everything random."),
-    duration: float = typer.Option(60.0, min=1.0, help="Length of the drive [s]."),
+    duration: float = typer.Option(60.0, min=1.0, help="Length of the drive in seconds."),
 ) -> None:
     """Drive a made mecanum base through a room, write the recording, and estimate it as any other."""
     from longreach.app.demo import make_and_estimate

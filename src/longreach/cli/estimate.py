@@ -17,8 +17,8 @@ def command(
     relations: Path | None = typer.Option(None, help="Relative reference poses: t1 t2 x y z roll pitch yaw a line."),
     sources: str | None = typer.Option(None, help="What to fuse, of wheels,lidar,imu,fixes (default: all there are)."),
     fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
-    fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y [m]."),
-    fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds [s]."),
+    fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
+    fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
 ) -> None:
     """Estimate a recording and write trajectories, covariances, metrics, figures and a report into a folder."""
     from longreach.app.estimate import estimate

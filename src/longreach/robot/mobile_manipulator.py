@@ -134,6 +134,11 @@ class MobileManipulator(Kinematics):
         return cls(description, chain.ending(description.tool or end), urdf)
 
 
+def description_of(robot: RobotDescription | MobileManipulator) -> RobotDescription:
+    """Return what an estimation has to know of a robot, whether or not its arm is loaded."""
+    return robot.description if isinstance(robot, MobileManipulator) else robot
+
+
 def _planar(description: RobotDescription, root: str) -> list[Joint]:
     """Return the joints x, y, θ between the world and the base, rows 1 to 4 of Table B.1."""
     reach, speed, hardest = description.reach, description.velocity_limits, description.acceleration_limits

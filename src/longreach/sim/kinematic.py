@@ -13,6 +13,7 @@ from longreach.geometry import se2
 from longreach.measurement import Imu, LaserScan, Recording, WheelSpeeds, WheelTicks
 from longreach.robot.bases import MecanumBase
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount, RobotDescription
+from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.sim.drive import Drive, make_drive, middle, move
 from longreach.sim.room import cast, moved, polygonal_room
 from longreach.trajectory import PoseTrajectory
@@ -43,7 +44,7 @@ class SimulationConfig(BaseModel):
 
 
 def make_recording(
-    robot: RobotDescription,
+    robot: RobotDescription | MobileManipulator,
     *,
     seed: int = 0,
     duration: float = 60.0,
@@ -62,7 +63,7 @@ def make_recording(
     Raises:
         ConfigError: the robot has no mecanum base, or duration, rate or beams are too small.
     """
-    config = config or SimulationConfig()
+    config, robot = config or SimulationConfig(), description_of(robot)
     if not isinstance(robot.base, MecanumBase):
         raise ConfigError(f"Only mecanum bases can be simulated, and {robot.name} is none; take the robot thing.")
     if not (duration >= 1.0 and lidar_rate > 0 and beams >= 2):
