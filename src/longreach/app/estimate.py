@@ -27,6 +27,7 @@ from longreach.odometry.chain import chain
 from longreach.odometry.range_flow import ScanMatch, lidar_odometry
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
+from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 
@@ -64,7 +65,7 @@ class Estimate:
 
 def estimate(
     recording: Recording,
-    robot: RobotDescription,
+    robot: RobotDescription | MobileManipulator,
     config: EstimateConfig | None = None,
     *,
     truth: PoseTrajectory | None = None,
@@ -83,7 +84,7 @@ def estimate(
     Raises:
         EstimationError: a source that was asked for is not in the recording, or nothing is there to fuse.
     """
-    config = config or EstimateConfig()
+    config, robot = config or EstimateConfig(), description_of(robot)
     tell = progress or (lambda stage, fraction: None)
     truth = truth if truth is not None else recording.truth
     sources = _sources(recording, config)

@@ -12,12 +12,13 @@ from longreach.io.text_lines import text_lines
 from longreach.io.tum import read_tum
 from longreach.measurement import Recording
 from longreach.robot.description import RobotDescription
+from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 
 def read_recording(
-    path: Path,
-    robot: RobotDescription,
+    path: str | Path,
+    robot: RobotDescription | MobileManipulator,
     progress: Callable[[float], None] | None = None,
     *,
     truth_topic: str | None = None,
@@ -29,6 +30,7 @@ def read_recording(
     Raises:
         RecordingError: the file cannot be used; one sentence says why.
     """
+    path, robot = Path(path), description_of(robot)
     kind = recording_format(path)
     if kind in ("carmen", "brenner") and truth_topic is not None:
         raise RecordingError(f"{path} has no topics, so there is no {truth_topic}; give the reference as a file.")
