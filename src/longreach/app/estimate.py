@@ -33,7 +33,7 @@ from longreach.trajectory import PoseTrajectory
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimation gives: trajectories by name, how good they are, and the matches and corrections behind them."""
+    """What an estimation gives: trajectories by name, what they are worth, the matches and corrections behind them."""
 
     recording: Recording
     robot: RobotDescription

@@ -55,8 +55,8 @@ def open_run(
         settings = validated(EstimateConfig, settings.model_dump(exclude_unset=True) | {"sources": names}, "--sources")
     compared = Relations(*read_relations(relations)) if relations is not None else None
     is_file = truth is not None and Path(truth).exists()
-    reference = read_poses(Path(truth)) if truth is not None and is_file else None
-    known = _fixes(read_poses(fixes), fix_sigma, fix_period) if fixes is not None else ()
+    if fixes is not None and not fixes.is_file():
+        raise ConfigError(f"{fixes} is not there.")
     tell = progress or (lambda stage, fraction: None)
     read = read_recording(
         recording,
@@ -64,26 +64,20 @@ def open_run(
         lambda fraction: tell("reading", min(fraction, 1.0)),
         truth_topic=None if is_file else truth,
     )
-    if known:
-        read = read.replace(fixes=_on_clock(known, read))
+    if fixes is not None:
+        read = read.replace(fixes=_fixes(read_poses(fixes, read), fix_sigma, fix_period))
+    reference = read_poses(Path(truth), read) if truth is not None and is_file else None
     return Run(read, description, settings, reference, compared)
 
 
-def _fixes(path: PoseTrajectory, sigma: float, period: float) -> list[PoseMeasurement]:
+def _fixes(path: PoseTrajectory, sigma: float, period: float) -> tuple[PoseMeasurement, ...]:
     if not sigma > 0:
         raise ConfigError(f"--fix-sigma is {sigma:g}; a standard deviation is larger than 0 m.")
     covariance = np.diag([sigma**2, sigma**2, np.inf])
     taken: list[PoseMeasurement] = []
     last = -np.inf
-    for stamp, clock, pose in zip(path.stamps.tolist(), path.clock.tolist(), path.poses, strict=True):
-        if clock - last >= period:
+    for stamp, pose in zip(path.clock.tolist(), path.poses, strict=True):
+        if stamp - last >= period:
             taken.append(PoseMeasurement(stamp, pose, covariance, source="fixes"))
-            last = clock
-    return taken
-
-
-def _on_clock(fixes: list[PoseMeasurement], recording: Recording) -> tuple[PoseMeasurement, ...]:
-    """Put fixes, stamped as recorded, on the recording's repaired clock."""
-    repaired = {recorded: clock for clock, recorded in recording.recorded_stamps.items()}
-    moved = [PoseMeasurement(repaired.get(fix.stamp, fix.stamp), fix.pose, fix.covariance, fix.source) for fix in fixes]
-    return tuple(sorted(moved, key=lambda fix: fix.stamp))
+            last = stamp
+    return tuple(taken)

@@ -19,7 +19,7 @@ from longreach.evaluation.consistency import pose_errors
 from longreach.evaluation.metrics import mse_over_time
 from longreach.evaluation.relations import RelationErrors
 from longreach.evaluation.report import report_html
-from longreach.evaluation.tables import metric_table
+from longreach.evaluation.tables import main_metrics, metric_table
 from longreach.io.config import to_yaml
 from longreach.io.tum import write_tum
 from longreach.io.whole_files import whole_folder
@@ -29,12 +29,12 @@ from longreach.trajectory import PoseTrajectory
 _MOST_SCANS = 4000  # laid into the map: more darken it, and add nothing
 
 
-def write_estimate(estimate: Estimate, out: Path, progress: Progress | None = None) -> None:
-    """Write the files that DESIGN names for every run of an estimation."""
+def write_estimate(estimate: Estimate, out: str | Path, progress: Progress | None = None) -> None:
+    """Write what docs/outputs.md names into a folder, which is made if it is not there."""
     tell = progress or (lambda stage, fraction: None)
     config = to_yaml(estimate.config)
     e = estimate.evaluation
-    with whole_folder(out) as folder:
+    with whole_folder(Path(out)) as folder:
         for name, trajectory in e.trajectories.items():
             write_tum(folder / f"{name}.tum", trajectory)
         _write_covariances(folder / "covariance.npz", e.trajectories)
@@ -42,12 +42,15 @@ def write_estimate(estimate: Estimate, out: Path, progress: Progress | None = No
         (folder / "config.yaml").write_text(config, encoding="utf-8")
         (folder / "robot.yaml").write_text(to_yaml(estimate.robot), encoding="utf-8")
         drawn = _comparison_figures(e) | _estimate_figures(estimate)
-        introduction = (
-            f"Recording {estimate.recording.name}, robot {estimate.robot.name}.\n\n"
-            f"{len(estimate.recording.wheels)} wheel records, {len(estimate.recording.scans)} scans, "
-            f"{len(estimate.recording.imu)} IMU readings and {len(estimate.recording.fixes)} absolute fixes."
-        )
-        _write_results(folder, f"Estimate of {estimate.recording.name}", introduction, e, drawn, config, tell)
+        title = f"Estimate of {estimate.recording.name}"
+        _write_results(folder, title, _introduction(estimate), e, drawn, config, tell)
+
+
+def _introduction(estimate: Estimate) -> str:
+    r = estimate.recording
+    held = {"wheel records": r.wheels, "scans": r.scans, "IMU readings": r.imu, "absolute fixes": r.fixes}
+    counted = ", ".join(f"{len(records)} {name}" for name, records in held.items() if records)
+    return f"Robot {estimate.robot.name}: {counted}."
 
 
 def write_evaluation(evaluation: Evaluation, out: Path, progress: Progress | None = None) -> None:
@@ -77,7 +80,13 @@ def _write_results(
         pictures[name] = style.png(draw())
         (folder / "figures" / f"{name}.png").write_bytes(pictures[name])
     page = report_html(
-        title, introduction, metric_table(evaluation.metrics), pictures, remarks=evaluation.remarks, config_yaml=config
+        title,
+        introduction,
+        metric_table(main_metrics(evaluation.metrics)),
+        pictures,
+        remarks=evaluation.remarks,
+        config_yaml=config,
+        more=metric_table(evaluation.metrics),
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
 

@@ -221,7 +221,7 @@ def _take(
         after = Snapshot(key, event, *ekf.clone(mean, P, number), anchors, before.tallies)
         return after, Correction(event.stamp, event.source, "used")
     tally, anchors = before.tallies.get(event.source, Tally()), before.anchors
-    if isinstance(event, RelativePoseMeasurement) and event.reading_covariance is not None:
+    if isinstance(event, RelativePoseMeasurement):
         mean, P, anchors, event = _carried(anchors, mean, P, event)
     mean, P, tally, correction = _correct(config, anchors, mean, P, tally, event)
     return Snapshot(key, original, mean, P, anchors, {**before.tallies, event.source: tally}), correction
@@ -233,14 +233,15 @@ def _carried(
     """Take a step between two readings of a counter: the anchor goes along, and stands where the counter says we are.
 
     So the error of a reading stays with that reading, whereas the error of the steps adds up in the anchor. Returns
-    what is left to measure: that we are at the anchor, as well as a reading tells. Without an anchor, nothing changes.
+    what is left to measure: that we are at the anchor, as well as a reading tells. What is no such step stays as it is.
     """
     number, placed = anchors.get(step.source, (0, None))
-    if placed != step.stamp_reference or not np.all(np.isfinite(step.pose)):
+    R = step.reading_covariance
+    if R is None or placed != step.stamp_reference or not np.all(np.isfinite(step.pose)):
         return mean, P, anchors, step
     mean, P = ekf.carry(mean, P, number, step.pose, step.covariance)
     anchors = {**anchors, step.source: (number, step.stamp)}
-    at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), step.reading_covariance, step.source)
+    at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
     return mean, P, anchors, at_anchor
 
 

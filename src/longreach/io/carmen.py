@@ -23,8 +23,9 @@ from longreach.measurement import LaserScan, Odometry, Recording
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory, monotone_clock
 
-_AFTER_RANGES = 9  # x y θ ox oy oθ ipc_time host logger_time
-_ODOM_WORDS = 10
+# At least; the host after the stamp shows that the stamp is whole.
+_AFTER_RANGES = 8  # x y θ ox oy oθ ipc_time host
+_ODOM_WORDS = 9
 FRAME = "laser"
 
 
@@ -51,7 +52,7 @@ def read_log(path: Path, progress: Callable[[float], None] | None = None) -> Car
         if words[0] == "FLASER":
             _take_scan(log, path, line, words)
         elif words[0] == "ODOM":
-            if len(words) < _ODOM_WORDS - 2:
+            if len(words) < _ODOM_WORDS:
                 raise RecordingError(f"{path}, line {line}: an ODOM line has x y θ tv rv accel and a time; it is cut.")
             row = numbers(path, line, [*words[1:4], words[7]])
             log.odometry.append(row)
@@ -69,7 +70,7 @@ def read_log(path: Path, progress: Callable[[float], None] | None = None) -> Car
 
 def _take_scan(log: CarmenLog, path: Path, line: int, words: list[str]) -> None:
     count = int(words[1]) if len(words) > 1 and words[1].isdigit() else -1
-    if count < 1 or len(words) < 2 + count + _AFTER_RANGES - 2:
+    if count < 1 or len(words) < 2 + count + _AFTER_RANGES:
         raise RecordingError(f"{path}, line {line}: a FLASER line of {count} ranges is cut short or has no count.")
     values = numbers(path, line, words[2 : 2 + count + 7])
     log.ranges.append(np.array(values[:count]))
@@ -164,13 +165,29 @@ def _mount(rows: np.ndarray, laser_offset: float) -> np.ndarray:
     return T
 
 
-def read_corrected_poses(path: Path) -> PoseTrajectory:
-    """Read the laser poses of a log whose FLASER lines were corrected afterwards; its ODOM lines were not."""
+def read_corrected_poses(path: Path, recording: Recording | None = None) -> PoseTrajectory:
+    """Read the laser poses of a log whose FLASER lines were corrected afterwards; its ODOM lines were not.
+
+    Such logs count their stamps from anywhere, with few digits. With the recording that they were made from, their
+    scans are found in it by their ranges, and take its stamps; those that are not found are left out.
+    """
     log = read_log(path)
     if not log.scans:
         raise RecordingError(f"{path} has no FLASER lines, whose poses are the reference in a corrected log.")
     rows = np.array(log.scans)
+    if recording is not None:
+        stamp_of = {_fingerprint(scan.ranges): scan.stamp for scan in recording.scans}
+        found = [stamp_of.get(_fingerprint(ranges)) for ranges in log.ranges]
+        known = np.array([stamp is not None for stamp in found])
+        if 2 * np.count_nonzero(known) > len(rows):
+            clock = np.array([stamp for stamp in found if stamp is not None])
+            order = np.argsort(clock, kind="stable")
+            return PoseTrajectory(recording.as_recorded(clock[order]), rows[known, :3][order], clock=clock[order])
     return PoseTrajectory(rows[:, 6], rows[:, :3])
+
+
+def _fingerprint(ranges: np.ndarray) -> bytes:
+    return np.round(100.0 * ranges).astype(np.int32).tobytes()  # logs give centimetres
 
 
 def inspect(path: Path) -> RecordingInfo:

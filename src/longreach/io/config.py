@@ -2,7 +2,7 @@
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -64,13 +64,19 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Return the keys of the model that stands at a place inside another."""
+    inside: list[type[BaseModel]] = [model]
     for part in location:
-        field = model.model_fields.get(str(part))
-        inside = getattr(field, "annotation", None)
-        for candidate in (inside, *getattr(inside, "__args__", ())):
-            if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-                model = candidate
-    return list(model.model_fields)
+        tagged = [m for m in inside if "kind" in m.model_fields and m.model_fields["kind"].default == part]
+        fields = [m.model_fields[part] for m in inside if part in m.model_fields]
+        inside = tagged or [m for field in fields for m in _models_in(field.annotation)] or inside
+    return list(inside[0].model_fields)
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models in an annotation such as `A | B | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
 
 
 def read_config(path: Path, model: type[Model]) -> Model:

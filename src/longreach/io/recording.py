@@ -41,11 +41,14 @@ def read_recording(
     return read_bag(path, robot, progress, truth_topic=truth_topic)
 
 
-def read_poses(path: Path) -> PoseTrajectory:
-    """Read a trajectory from a file: TUM, a corrected CARMEN log, or positions as text (P ms x y)."""
+def read_poses(path: Path, recording: Recording | None = None) -> PoseTrajectory:
+    """Read a trajectory from a file: TUM, a corrected CARMEN log, or positions as text (P ms x y).
+
+    Arguments: recording: what a corrected log was made from, to give it that recording's stamps.
+    """
     _, first = next(iter(text_lines(path)), (0, ""))
     if first.startswith("P "):
         return read_positions(path)
     if first.split(" ", 1)[0].isupper():
-        return read_corrected_poses(path)
+        return read_corrected_poses(path, recording)
     return read_tum(path)

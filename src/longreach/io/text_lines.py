@@ -5,15 +5,15 @@ import gzip
 import lzma
 import zlib
 from collections.abc import Iterator, Sequence
+from io import TextIOWrapper
 from pathlib import Path
-from typing import IO
 
 from longreach.errors import RecordingError
 
 _OPENERS = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 
 
-def _open(path: Path) -> IO[str]:
+def _open(path: Path) -> TextIOWrapper:
     return _OPENERS.get(path.suffix, open)(path, "rt", encoding="utf-8", errors="replace")  # type: ignore[operator]
 
 

@@ -13,7 +13,6 @@ approach" (the thesis' (3.24)–(3.26)). Where ours differs from its authors' im
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -32,20 +31,30 @@ class RangeFlowConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    levels: int = Field(5, ge=1, le=8, description="Levels of the pyramid [1]; 5: the authors' code (coarsest 1/16).")
-    iterations: int = Field(5, ge=1, le=50, description="Reweightings a level at most [1]; 5: the authors' code.")
-    linearisations: int = Field(3, ge=1, le=20, description="Linearisations a level at most [1]; 3: SRF 2018.")
-    settled: float = Field(0.01, gt=0, description="A level's motion below this ends it [m + rad].")
-    reach: float = Field(0.3, gt=0, description="Neighbours further away in range are not smoothed [m]; authors' code.")
+    levels: int = Field(
+        default=5, ge=1, le=8, description="Levels of the pyramid [1]; 5: the authors' code (coarsest 1/16)."
+    )
+    iterations: int = Field(
+        default=5, ge=1, le=50, description="Reweightings a level at most [1]; 5: the authors' code."
+    )
+    linearisations: int = Field(default=3, ge=1, le=20, description="Linearisations a level at most [1]; 3: SRF 2018.")
+    settled: float = Field(default=0.01, gt=0, description="A level's motion below this ends it [m + rad].")
+    reach: float = Field(
+        default=0.3, gt=0, description="Neighbours further away in range are not smoothed [m]; authors' code."
+    )
     noise: float = Field(
-        0.1, gt=0, description="Floor under the derivatives in a row's weight [m]; 0.2 in SRF 2018, 0.01 of scanners."
+        default=0.1,
+        gt=0,
+        description="Floor under the derivatives in a row's weight [m]; 0.2 in SRF 2018, 0.01 of scanners.",
     )
-    blend_covariance: float = Field(5000.0, ge=0, description="Pull to the last motion per variance; SRF 2018.")
-    blend_constant: float = Field(0.02, ge=0, description="Constant pull to the last motion [1]; SRF 2018.")
+    blend_covariance: float = Field(default=5000.0, ge=0, description="Pull to the last motion per variance; SRF 2018.")
+    blend_constant: float = Field(default=0.02, ge=0, description="Constant pull to the last motion [1]; SRF 2018.")
     share: float = Field(
-        0.06, ge=0, description="Deviation of a translation in distances between beams, from aliasing [1]; ours."
+        default=0.06,
+        ge=0,
+        description="Deviation of a translation in distances between beams, from aliasing [1]; ours.",
     )
-    lags: int = Field(6, ge=0, le=50, description="Neighbouring beams whose errors may be correlated [1].")
+    lags: int = Field(default=6, ge=0, le=50, description="Neighbouring beams whose errors may be correlated [1].")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +148,6 @@ def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeF
     return RangeFlowState(scan.stamp, geometry, pyramid, np.zeros(3))
 
 
-@cache
 def _settings(config: RangeFlowConfig) -> _range_flow_kernels.Settings:
     return _range_flow_kernels.Settings(
         reach=config.reach,
