@@ -41,3 +41,8 @@ def test_lengths_and_spans_are_spelt_out():
 
 def test_no_metrics_make_an_empty_table():
     assert metric_table({}).rows == ()
+
+
+def test_a_word_is_not_said_twice():
+    assert label("final_heading_error") == "Final heading error"
+    assert label("heading_rms") == "Heading error RMS"

@@ -20,25 +20,9 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     console.print(table)
 
 
-# What a newcomer wants to see first, best known reference first; the report holds the rest.
-_FIRST = (
-    "ate_rmse",
-    "heading_rms",
-    "final_position_error",
-    "final_heading_error",
-    "relations_5s_translation_mean",
-    "relations_5s_rotation_mean",
-    "nees_mean",
-    "path_length",
-)
-
-
 def print_metrics(metrics: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print the main metrics, a column a trajectory."""
-    from longreach.evaluation.tables import metric_table
+    """Print the main metrics, a column a trajectory; the report holds the rest."""
+    from longreach.evaluation.tables import main_metrics, metric_table
 
-    names = [name for name in _FIRST if any(name in named for named in metrics.values())]
-    table = metric_table(
-        {who: {name: named[name] for name in names if name in named} for who, named in metrics.items()}
-    )
+    table = metric_table(main_metrics(metrics))
     print_table(table.header, table.rows)

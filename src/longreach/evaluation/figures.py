@@ -1,6 +1,6 @@
 """The figures of a report: figures 6.2 and 6.3 of the thesis, the relations metric, and how honest the filter is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from longreach.evaluation.metrics import SquaredErrors
 from longreach.evaluation.relations import RelationErrors
 from longreach.trajectory import PoseTrajectory
 
+_FLAT = 30  # a curve this many times below another is not seen beside it
 _NIS_WINDOW = 100  # innovations in a running mean: its χ² band is then narrow enough to judge by
 
 
@@ -38,7 +39,8 @@ def paths(trajectories: Mapping[str, PoseTrajectory], title: str = "") -> Figure
 def squared_errors(errors: Mapping[str, SquaredErrors], title: str = "") -> Figure:
     """Draw the mean squared errors from the start to each instant, as figure 6.3 does.
 
-    Position above, heading below where it is known; the squared errors themselves stand pale behind.
+    Position above, heading below where it is known; the squared errors themselves stand pale behind. The scale is
+    logarithmic where a linear one would lay one of the curves on the axis.
     """
     headings = any(e.heading is not None for e in errors.values())
     fig = style.figure(6.2 if headings else 3.6, title)
@@ -54,13 +56,23 @@ def squared_errors(errors: Mapping[str, SquaredErrors], title: str = "") -> Figu
             axes.plot(t, mean, color=look.colour, linestyle=look.line, linewidth=look.width, label=look.label)
     for axes, label in zip(panels, ("position MSE [m²]", "heading MSE [rad²]"), strict=False):
         style.panel(axes, "", label)
-        axes.set_ylim(bottom=0)
         axes.margins(x=0.01)
+        _show_all(axes, [e.heading_mean if axes is not panels[0] else e.position_mean for e in errors.values()])
     panels[0].plot([], [], color="0.7", linewidth=0.8, label="squared errors")
     panels[-1].set_xlabel("time [s]", fontsize=style.LABEL_SIZE)
     style.legend_above(panels[0])
     fig.align_ylabels()
     return fig
+
+
+def _show_all(axes: Axes, means: Sequence[Float[np.ndarray, " n"] | None]) -> None:
+    """Start the scale at 0, or make it logarithmic where the last values are too far apart for that."""
+    last = [float(mean[-1]) for mean in means if mean is not None and len(mean) and mean[-1] > 0]
+    axes.set_ylim(bottom=0)
+    if last and max(last) > _FLAT * min(last):
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=min(last) / 100)
+        style.plain_logarithmic(axes.yaxis)
 
 
 def error_with_bounds(errors: PoseErrors, title: str = "", name: str = "fused") -> Figure:

@@ -40,7 +40,12 @@ figure img { display: block; width: 100%; height: auto; background: #fff; border
   border-radius: 6px; }
 figcaption { margin-top: .5rem; color: var(--quiet); font-size: .92rem; }
 li { margin: .25rem 0; }
+details { margin: 1rem 0; }
 summary { cursor: pointer; }
+@media (max-width: 36rem) {
+  th, td { padding: .3rem .3rem; font-size: .8rem; }
+  th:first-child, td:first-child { white-space: normal; }
+}
 pre { background: var(--band); border: 1px solid var(--line); border-radius: 6px; padding: 1rem; overflow-x: auto;
   font: .85rem/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
 """
@@ -70,6 +75,7 @@ def report_html(
     captions: Mapping[str, str] = CAPTIONS,
     remarks: Sequence[str] = (),
     config_yaml: str = "",
+    more: Table | None = None,
 ) -> str:
     """Return the page.
 
@@ -77,12 +83,14 @@ def report_html(
         introduction: what it is: a sentence or a few; empty lines part paragraphs.
         figures: name → PNG, in the order in which they are shown. captions: by the same names.
         remarks: what was repaired or left out, a sentence each.
-        config_yaml: the configuration that ran.
+        config_yaml: the configuration that ran. more: the table of all metrics, folded away.
     """
     paragraphs = "\n".join(f"<p>{escape(p.strip())}</p>" for p in introduction.split("\n\n") if p.strip())
     shown = "\n".join(_figure(png, captions.get(name, name)) for name, png in figures.items())
     listed = "\n".join(f"<li>{escape(remark)}</li>" for remark in remarks)
     results = _table(table) if table.rows else "<p>There was no reference to compare with.</p>"
+    if more is not None and more.rows:
+        results += f"\n<details><summary>All metrics</summary>\n{_table(more)}</details>"
     config = f"<details><summary>All keys and values</summary>\n<pre>{escape(config_yaml)}</pre></details>"
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

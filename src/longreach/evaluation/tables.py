@@ -30,16 +30,30 @@ class Table:
 
 
 UNKNOWN = "–"
+# What a newcomer wants to see first, best known reference first.
+_MAIN = (
+    "ate_rmse",
+    "heading_rms",
+    "final_position_error",
+    "final_heading_error",
+    "relations_5s_translation_mean",
+    "relations_5s_rotation_mean",
+    "nees_mean",
+    "path_length",
+)
 _NAMES = {
     "ate": "position error (ATE)",
     "heading": "heading error",
     "rpe": "relative error",
     "rmse": "RMSE",
     "rms": "RMS",
+    "mse": "MSE",
     "std": "standard deviation",
     "max": "largest",
     "nees": "NEES",
     "nis": "NIS",
+    "imu": "IMU",
+    "lidar": "LIDAR",
     "lower": "lower 95 % bound",
     "upper": "upper 95 % bound",
 }
@@ -52,7 +66,7 @@ def label(name: str) -> str:
     for part in name.split("_"):
         length = re.fullmatch(r"(\d+(?:\.\d+)?)(m|s)", part)
         words.append(f"{which} {length[1]} {length[2]}," if length else _NAMES.get(part, part))
-    text = " ".join(words).rstrip(",")
+    text = " ".join(words).rstrip(",").replace("error error", "error")
     return text[:1].upper() + text[1:]
 
 
@@ -65,6 +79,11 @@ def _text(value: float | int | None) -> str:
         return f"{value:.2e}"
     digits = 3 if value == 0 else max(0, 3 - math.floor(math.log10(abs(value))))
     return f"{value:.{min(digits, 5)}f}"
+
+
+def main_metrics(metrics: Mapping[str, Mapping[str, Metric]]) -> dict[str, dict[str, Metric]]:
+    """Return the few metrics that tell most, of those that are there."""
+    return {who: {name: named[name] for name in _MAIN if name in named} for who, named in metrics.items()}
 
 
 def metric_table(metrics: Mapping[str, Mapping[str, Metric]]) -> Table:
