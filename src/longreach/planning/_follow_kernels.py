@@ -15,17 +15,20 @@ from longreach.planning._quick_step_kernels import quick_step
 from longreach.planning._stack_kernels import stack
 from longreach.robot._kinematics_kernels import forward_jacobian
 
+_POOR, _GOOD = 0.5, 0.25  # part of what was promised that is missed
+SHARE_BELOW = 0.6  # part of a joint's limit of speed that levels below the first may use
+_ROUNDING = 1e-9  # [m, rad], an error too small to learn from
 _SURPRISE = 0.25  # part of an error up to which what the last waypoint's step missed is expected to be missed again
 
 
 @kernel
 def remember(M, n, levels):
     """Memory before the first step."""
-    mu, lengths, before, promised = np.zeros(levels), np.zeros(levels), np.zeros(levels), np.zeros(levels)
+    mu, lengths, before, then = np.zeros(levels), np.zeros(levels), np.zeros(levels), np.zeros(levels)
     a, floor, ceiling, goal = np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M)
     predicted, missed, active = np.zeros(M), np.zeros(M), np.zeros(M, dtype=np.bool_)
-    pool, shares = np.zeros(M, dtype=np.int64), np.ones(levels + 1)
-    return (mu, lengths, before, promised), (a, floor, ceiling, goal, active, pool, shares), (predicted, missed), \
+    pool, parts = np.zeros(M, dtype=np.int64), np.zeros(levels + 1)
+    return (mu, lengths, before, then, parts), (a, floor, ceiling, goal, active, pool), (predicted, missed), \
         workspace(M, n)  # fmt: skip
 
 
@@ -47,27 +50,38 @@ def measure(e, starts, ranged, lower, upper, lengths):
 
 @kernel
 def learn(strongest, levels):
-    """μ grows where a step gained less than a quarter of what its model said, and falls where more than three quarters.
+    """μ grows where a step missed half of what it promised, and falls where it missed a quarter or less.
 
-    Marquardt's rule, one μ a level. λ = μ ‖e‖ because what the model lacks is the chain's curvature times the error.
+    Marquardt's rule for levels: what level i missed is weighed against what it and all below promised to gain, and laid
+    on that one of them which moved most, for the motion of a lower level bends what a higher one holds. λ = μ ‖e‖ because
+    what the model lacks is the chain's curvature times the error.
     """
-    mu, lengths, before, promised = levels
+    mu, lengths, before, then, parts = levels
+    promised = 0.0
+    for i in range(len(mu) - 1, -1, -1):
+        gain = before[i] - then[i]
+        before[i] = gain if gain > 0.0 else 0.0
+        promised += before[i]
     for i in range(len(mu)):
-        if promised[i] > 1e-9 * before[i] ** 2 and before[i] > 1e-6:
-            gained = before[i] ** 2 - lengths[i] ** 2
-            if gained < 0.25 * promised[i]:
-                mu[i] = min(max(4.0 * mu[i], 0.05 * strongest), strongest)
-            elif gained > 0.75 * promised[i]:
-                mu[i] = 0.25 * mu[i] if mu[i] > 0.01 * strongest else 0.0
-        promised[i] = 0.0
+        missed = lengths[i] - then[i]
+        if missed > _POOR * promised and missed > _ROUNDING:
+            culprit = i
+            for j in range(i + 1, len(mu)):
+                if parts[j] > parts[culprit]:
+                    culprit = j
+            mu[culprit] = min(max(4.0 * mu[culprit], 0.05 * strongest), strongest)
+            return
+        if before[i] > _ROUNDING and missed < _GOOD * promised:
+            mu[i] = 0.25 * mu[i] if mu[i] > 0.01 * strongest else 0.0
+        promised -= before[i]
 
 
 @kernel(fastmath={"contract", "reassoc"})
 def _predict(A, e, starts, ranged, dq, levels, predicted):
-    """The equations' errors after dq as their linear model says, and what each level shall gain by that."""
-    _, lengths, before, promised = levels
+    """The equations' errors after dq as their linear model says, and their size in each level."""
+    _, lengths, before, then, _ = levels
     for level in range(len(starts) - 1):
-        then = 0.0
+        total = 0.0
         for r in range(starts[level], starts[level + 1]):
             if ranged[r]:
                 continue
@@ -75,15 +89,14 @@ def _predict(A, e, starts, ranged, dq, levels, predicted):
             for k in range(len(dq)):
                 moved += A[r, k] * dq[k]
             predicted[r] = moved
-            then += moved * moved
-        before[level] = lengths[level]
-        promised[level] = lengths[level] ** 2 - then
+            total += moved * moved
+        before[level], then[level] = lengths[level], math.sqrt(total)
 
 
 @kernel(fastmath={"contract", "reassoc"})
 def _fits(A, ranged, floor, ceiling, low, high, dq):
     for k in range(len(dq)):
-        if not low[k] <= dq[k] <= high[k]:
+        if not low[1, k] <= dq[k] <= high[1, k]:
             return False
     for r in range(len(ranged)):
         if ranged[r]:
@@ -109,14 +122,14 @@ def _wishes(e, ranged, gains, lower, upper, expected, rows):
 
 @kernel
 def advance(e, A, low, high, problem, memory, expected, dq):
-    """dq (n,) of one iteration at errors e (M,) and Jacobian A (M, n), low <= dq <= high.
+    """dq (n,) of one iteration at errors e (M,) and Jacobian A (M, n), low <= dq <= high (2, n).
 
     `memory`'s lengths are those of e; `expected` (M,) is what the linear model will miss.
     """
     starts, ranged, gains, lower, upper, scheme, setting, base, by_error, _, reach, longest, z = problem
     levels, rows, (predicted, _), work = memory
-    mu, lengths, _, _ = levels
-    a, floor, ceiling, goal, active, pool, shares = rows
+    mu, lengths, _, _, parts = levels
+    a, floor, ceiling, goal, active, pool = rows
     _, _, L, b, _, M, _, order = work
     _wishes(e, ranged, gains, lower, upper, expected, rows)
     plain = scheme == SICILIANO_SLOTINE
@@ -126,14 +139,13 @@ def advance(e, A, low, high, problem, memory, expected, dq):
         plain &= z[k] == 0.0
     if (
         plain
-        and quick_step(A, a, starts, ranged, setting, order, L, M, b, dq)
+        and quick_step(A, a, starts, ranged, setting, order, L, M, b, parts, dq)
         and _fits(A, ranged, floor, ceiling, low, high, dq)
     ):
-        shares[:] = 1.0
         active[:] = False
     else:
         step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, reach, longest, z, low, high, pool,
-             work, shares, dq)  # fmt: skip
+             work, parts, dq)  # fmt: skip
     _predict(A, e, starts, ranged, dq, levels, predicted)
 
 
@@ -152,10 +164,15 @@ def expect(e, starts, missed, expected):
 
 @kernel
 def room(q, last, speed, longest, low, high):
-    """low, high (n,): how far one iteration may move a joint, so that in all |q - last| <= speed."""
+    """low, high (2, n): how far one iteration may move a joint, so that in all |q - last| <= speed.
+
+    Row 1 is for the levels below the first, which needs the rest to mend what they bend.
+    """
     for k in range(len(q)):
-        low[k] = max(-longest[k], min(last[k] - speed[k] - q[k], 0.0))
-        high[k] = min(longest[k], max(last[k] + speed[k] - q[k], 0.0))
+        for row in range(2):
+            part = SHARE_BELOW if row else 1.0
+            low[row, k] = max(-longest[k], min(last[k] - part * speed[k] - q[k], 0.0))
+            high[row, k] = min(longest[k], max(last[k] + part * speed[k] - q[k], 0.0))
 
 
 @kernel
@@ -166,7 +183,7 @@ def follow(
     starts, ranged, _, lower, upper = problem[:5]
     n, M, levels = len(q), len(ranged), len(starts) - 1
     T, J, e, A = np.empty((4, 4)), np.empty((6, n)), np.empty(M), np.empty((M, n))
-    low, high, dq, expected, none = np.empty(n), np.empty(n), np.zeros(n), np.zeros(M), np.zeros(M)
+    low, high, dq, expected, none = np.empty((2, n)), np.empty((2, n)), np.zeros(n), np.zeros(M), np.zeros(M)
     memory = remember(M, n, levels)
     lengths, (predicted, missed) = memory[0][1], memory[2]
     forward_jacobian(fixed, prismatic, q, T, J)

@@ -136,7 +136,7 @@ def _by_singular_values(L, m, V, rank, new, inverse, b, x):
     if sigma0 > 0.0:
         inverses.filter_values(s, v, sigma0)
     if method == inverses.SELECTIVE:
-        inverses.clamp_blocks(b, longest, e)
+        inverses.clamp_blocks(b[:m], longest, e)
     inverses.step(B, A, s, e, method, damping, bound, reach, x)
 
 

@@ -3,8 +3,11 @@
 `rows` of all tasks stand one after the other: A (M, n) their Jacobian, a (M,) the speed each wants, `starts` where each
 level begins. Rows of a range (`ranged`) take part only while `active`; then they want `goal`. A step A dq keeps to the
 range where floor <= A dq <= ceiling. `setting` (levels, 5) is method, λ, rank tolerance, σ0 and v of each level's inverse,
-`reach` (levels, n) and `longest` (levels, blocks) its bounds where it is selective.
+`reach` (levels, n) and `longest` (levels, blocks) its bounds where it is selective. Row 0 of low and high (2, n) is the
+room for ranges and for the first level of equations, row 1 that for all below.
 """
+
+import math
 
 import numpy as np
 
@@ -26,16 +29,18 @@ def workspace(M, n):
 
 @kernel(fastmath={"contract"})
 def _add_share(x, low, high, dq):
-    """dq += s x with the largest s <= 1 that keeps low <= dq <= high; return s."""
+    """dq += s x with the largest s <= 1 that keeps low <= dq <= high; return ‖s x‖."""
     share = 1.0
     for k in range(len(dq)):
-        if dq[k] + share * x[k] > high[k]:
+        if x[k] > 0.0 and dq[k] + share * x[k] > high[k]:
             share = max((high[k] - dq[k]) / x[k], 0.0)
-        elif dq[k] + share * x[k] < low[k]:
+        elif x[k] < 0.0 and dq[k] + share * x[k] < low[k]:
             share = max((low[k] - dq[k]) / x[k], 0.0)
+    square = 0.0
     for k in range(len(dq)):
         dq[k] += share * x[k]
-    return share
+        square += x[k] * x[k]
+    return share * math.sqrt(square)
 
 
 @kernel(fastmath={"contract"})
@@ -60,10 +65,10 @@ def _along(A, row, dq):
 
 
 @kernel
-def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq):
-    """dq (n,) of one choice of active ranges; shares (levels + 1,): how much of each level's part there was room for."""
+def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq):
+    """dq (n,) of one choice of active ranges; parts (levels + 1,): how far each level's part of it goes."""
     V, W, L, b, y, M, x, rows = work
-    rank = 0
+    rank, part = 0, 0
     dq[:] = 0.0
     for level in range(len(starts) - 1):
         m = 0
@@ -74,7 +79,7 @@ def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest,
                 if scheme == SICILIANO_SLOTINE:
                     b[m] -= _along(A, r, dq)
                 m += 1
-        shares[level] = 1.0
+        parts[level] = 0.0
         if m == 0:
             continue
         tolerance = setting[level, 2]
@@ -89,10 +94,12 @@ def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest,
             _project(V, rank, x)
             new = factor(A, rows, m, tolerance, V, rank, L)
         rank = new
-        shares[level] = _add_share(x, low, high, dq)
+        parts[level] = _add_share(x, low[part], high[part], dq)
+        if not ranged[starts[level]]:
+            part = 1
     x[:] = z
     _project(V, rank, x)  # (4.15)
-    shares[len(starts) - 1] = _add_share(x, low, high, dq)
+    parts[len(starts) - 1] = _add_share(x, low[part], high[part], dq)
 
 
 @kernel
@@ -135,13 +142,13 @@ def _bits(mode):
 
 @kernel
 def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, reach, longest, z, low, high, pool, work,
-         shares, dq):  # fmt: skip
+         parts, dq):  # fmt: skip
     """dq (n,) in the least restrictive mode in which every range that does not bind is kept (Moe et al. 2016).
 
     The ranges at stake are those that a mode before would have left; `active` tells which bind in the end.
     """
     active[:] = False
-    descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq)
+    descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq)
     size, left = _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, 0)
     while left:
         before = size
@@ -152,7 +159,7 @@ def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, re
                     continue
                 _activate(active, pool, size, mode)
                 descend(
-                    A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, shares, dq
+                    A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq
                 )
                 size, left = _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, size)
                 if not left:

@@ -67,8 +67,8 @@ def _damped(L, first, last, damping, M, b):
 
 
 @kernel(fastmath=_FUSED)
-def quick_step(A, a, starts, ranged, setting, rows, L, M, b, dq):
-    """dq (n,), or False where the levels get in each other's way or their inverses need singular values."""
+def quick_step(A, a, starts, ranged, setting, rows, L, M, b, parts, dq):
+    """dq (n,) and how far each level's part of it goes, or False where the levels get in each other's way or their inverses need singular values."""
     m, n = 0, len(dq)
     for level in range(len(starts) - 1):
         first = m
@@ -98,6 +98,10 @@ def quick_step(A, a, starts, ranged, setting, rows, L, M, b, dq):
                 for k in range(first, i):
                     b[i] -= L[i, k] * b[k]
                 b[i] /= L[i, i]
+        square = 0.0
+        for i in range(first, last):
+            square += b[i] * b[i]
+        parts[level] = math.sqrt(square)
     for k in range(n):
         dq[k] = 0.0
     for i in range(m - 1, -1, -1):

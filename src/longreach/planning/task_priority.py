@@ -88,9 +88,9 @@ def _iterate(
 ) -> tuple[np.ndarray, int]:  # fmt: skip
     """Move q in place; return the rows' values there and how many iterations it took. `follow` does it compiled."""
     n, M = len(q), len(stack.kept)
-    low, high, dq, expected, none = np.empty(n), np.empty(n), np.zeros(n), np.zeros(M), np.zeros(M)
+    low, high, dq, expected, none = np.empty((2, n)), np.empty((2, n)), np.zeros(n), np.zeros(M), np.zeros(M)
     lengths, (predicted, missed) = memory[0][1], memory[2]
-    farthest = farthest(stack.robot, config)
+    longest = farthest(stack.robot, config)
     for iteration in range(iterations + 1):
         e, A = stack.rows(q)
         worst = kernels.measure(e, stack.starts, stack.ranged, stack.lower, stack.upper, lengths)
@@ -107,7 +107,7 @@ def _iterate(
             kernels.expect(e, stack.starts, missed, expected)
         if callable(free):
             problem[-1][:] = free(q)
-        kernels.room(q, last, speed, farthest, low, high)
+        kernels.room(q, last, speed, longest, low, high)
         kernels.advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
         q += dq
     raise AssertionError("the last iteration returns")
