@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +23,7 @@ from longreach.estimation import fusion, offline
 from longreach.estimation.fusion import Anchor, Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.evaluation.consistency import consistency_metrics
-from longreach.measurement import Recording, RelativePoseMeasurement
+from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
 from longreach.odometry.range_flow import ScanMatch, lidar_odometry
 from longreach.odometry.wheel import wheel_odometry
@@ -93,7 +94,7 @@ def estimate(
     mount = sensor_mount(recording, robot, "lidar")
     count = max(len(recording.scans), 1)
     matches = lidar_odometry(
-        recording.scans, mount, config.range_flow, lambda i: tell("LIDAR odometry", i / count)
+        _one_a_stamp(recording.scans), mount, config.range_flow, lambda i: tell("LIDAR odometry", i / count)
     )  # (3.24)–(3.26)
     found = tuple(match.measurement for match in matches if match.measurement is not None)
     imu = _imu(recording, robot) if "imu" in sources else ()
@@ -108,7 +109,7 @@ def estimate(
         if source in sources:
             measured += _anchored(relative)
     if not measured:
-        raise EstimationError("There is nothing to fuse: the recording has none of the sources asked for.")
+        raise EstimationError(_nothing(recording))
     events = fusion.in_order(measured)
 
     begin = events[0].stamp
@@ -151,6 +152,21 @@ def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]
         have = ", ".join(source for source in there if there[source]) or "nothing that can be fused"
         raise EstimationError(f"The recording has no {' and no '.join(missing)} to fuse; it has {have}.")
     return config.sources
+
+
+def _one_a_stamp(scans: Sequence[LaserScan]) -> list[LaserScan]:
+    """Keep the last of the scans that have one stamp, for between them is no time to move in."""
+    if any(later.stamp < scan.stamp for scan, later in pairwise(scans)):
+        raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
+    return [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
+
+
+def _nothing(recording: Recording) -> str:
+    return (
+        f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
+        f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes tell of no motion; it takes two good "
+        "wheel records or scans."
+    )
 
 
 def _anchored(measurements: Sequence[RelativePoseMeasurement]) -> list[Event]:
