@@ -15,7 +15,7 @@ import numpy as np
 
 from longreach.evaluation.relations import relation_errors, summary
 from longreach.geometry import se2
-from longreach.io.config import load_robot
+from longreach.io.config import load_description
 from longreach.io.recording import read_recording
 from longreach.io.relations import read_relations
 from longreach.measurement import Recording
@@ -49,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("LONGREACH_DATA"))
     data = parser.parse_args().data
-    thing = load_robot("thing")
+    thing = load_description("thing")
     assert thing.lidar is not None
     T = thing.lidar.mount.matrix()
     for beams, bar in ((360, 0.08), (1081, 0.20)):
@@ -59,7 +59,7 @@ def main() -> None:
         print("no accuracy without --data or LONGREACH_DATA")
         return
     for name, recording_file in (("intel", "intel.clf.bz2"), ("aces", "aces.clf.bz2")):
-        robot = load_robot(name)
+        robot = load_description(name)
         assert robot.lidar is not None
         recording = read_recording(Path(data) / name / recording_file, robot)
         began = time.perf_counter()

@@ -134,6 +134,15 @@ def test_figures_of_nothing_can_be_drawn():
         png(figure)
 
 
+def test_errors_too_far_apart_for_a_linear_scale_get_a_logarithmic_one(drive, disturb):
+    far = mse_over_time(associate(disturb(drive), drive))
+    shorter = PoseTrajectory(drive.stamps[:-9], drive.poses[:-9] + np.array([1e-5, 0.0, 0.0]))
+    near = mse_over_time(associate(shorter, drive), "none")
+    assert figures.squared_errors({"fused": near, "wheels": far}).axes[0].get_yscale() == "log"
+    assert figures.squared_errors({"fused": far, "wheels": far}).axes[0].get_yscale() == "linear"
+    assert figures.squared_errors({"fused": far}).axes[0].get_ylim()[0] == 0
+
+
 def test_without_headings_the_squared_errors_have_one_panel(drive):
     pairs = associate(drive, replace(drive, has_heading=False))
     assert len(figures.squared_errors({"fused": mse_over_time(pairs, "rigid")}).axes) == 1

@@ -65,7 +65,7 @@ def squared_errors(errors: Mapping[str, SquaredErrors], title: str = "") -> Figu
     return fig
 
 
-def _show_all(axes: Axes, means: Sequence[Float[np.ndarray, " n"] | None]) -> None:
+def _show_all(axes: Axes, means: Sequence[Float[np.ndarray, " _"] | None]) -> None:
     """Start the scale at 0, or make it logarithmic where the last values are too far apart for that."""
     last = [float(mean[-1]) for mean in means if mean is not None and len(mean) and mean[-1] > 0]
     axes.set_ylim(bottom=0)
