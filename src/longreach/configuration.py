@@ -75,4 +75,11 @@ class ConfigurationTrajectory:
 def _slopes(stamps: np.ndarray, q: np.ndarray) -> np.ndarray:
     if len(stamps) == 1:
         return np.zeros_like(q, dtype=float)
-    return np.gradient(q, stamps, axis=0, edge_order=2 if len(stamps) > 2 else 1)
+    dt = np.diff(stamps)[:, None]
+    chords = np.diff(q, axis=0) / dt
+    if len(stamps) == 2:
+        return np.repeat(chords, 2, axis=0)
+    out = np.empty_like(q, dtype=float)
+    out[1:-1] = (chords[:-1] * dt[1:] + chords[1:] * dt[:-1]) / (dt[1:] + dt[:-1])
+    out[0], out[-1] = 2.0 * chords[0] - out[1], 2.0 * chords[-1] - out[-2]
+    return out

@@ -80,7 +80,7 @@ def _slope(a, u, half, s):
 
 @kernel
 def _way_out(a, u, half, out):
-    """The segment meets the box: fill out for the shortest push along an axis that frees it; return minus its length."""
+    """Fill out for the shortest push along an axis that frees the segment from the box; return minus its length."""
     enter, leave = 0.0, 1.0
     for i in range(3):
         if abs(u[i]) > _NONE:

@@ -1,8 +1,8 @@
 """Compiled iterations of task priority: damping that learns from what steps gained, and waypoints followed in one call.
 
-`problem` is (starts, ranged, gains, lower, upper, scheme, setting, base_damping, error_damping, strongest, reach, longest,
-z): the rows of `_priority_kernels`, each with its gain and, where ranged, its range, and the levels' inverses. `memory` is
-what one step leaves for the next, made by `remember`.
+`problem` is (starts, ranged, gains, lower, upper, scheme, setting, base_damping, error_damping, strongest, reach,
+longest, z): the rows of `_priority_kernels`, each with its gain and, where ranged, its range, and the levels' inverses.
+`memory` is what one step leaves for the next, made by `remember`.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from longreach.kernels import kernel
 from longreach.planning._priority_kernels import SICILIANO_SLOTINE, step, workspace
 from longreach.planning._quick_step_kernels import quick_step
-from longreach.planning._stack_kernels import stack
+from longreach.planning._stack_kernels import errors, jacobians
 from longreach.robot._kinematics_kernels import forward_jacobian
 
 _POOR, _GOOD = 0.5, 0.25  # part of what was promised that is missed
@@ -53,8 +53,8 @@ def learn(strongest, levels):
     """μ grows where a step missed half of what it promised, and falls where it missed a quarter or less.
 
     Marquardt's rule for levels: what level i missed is weighed against what it and all below promised to gain, and laid
-    on that one of them which moved most, for the motion of a lower level bends what a higher one holds. λ = μ ‖e‖ because
-    what the model lacks is the chain's curvature times the error.
+    on that one of them which moved most, for the motion of a lower level bends what a higher one holds. λ = μ ‖e‖
+    because what the model lacks is the chain's curvature times the error.
     """
     mu, lengths, before, then, parts = levels
     promised = 0.0
@@ -176,13 +176,26 @@ def room(q, last, speed, longest, low, high):
 
 
 @kernel
+def gauge(e, ranged, lower, upper, owner, angular, sizes):
+    """sizes (2, tasks): the length [m] and the angle [rad] of each task's errors, of a range what is out of it."""
+    sizes[:] = 0.0
+    for r in range(len(e)):
+        off = max(lower[r] - e[r], e[r] - upper[r], 0.0) if ranged[r] else e[r]
+        sizes[1 if angular[r] else 0, owner[r]] += off * off
+    for i in range(sizes.shape[0]):
+        for j in range(sizes.shape[1]):
+            sizes[i, j] = math.sqrt(sizes[i, j])
+
+
+@kernel
 def follow(
-    fixed, prismatic, kinds, targets, speeds, longest_step, iterations, tolerance, least, problem, q, Q, E, counts
-):
-    """Q (waypoints, n) from q on, E (waypoints, M) the rows' errors there, counts (waypoints,) of iterations."""
+    fixed, prismatic, kinds, targets, owner, angular, speeds, farthest, iterations, tolerance, least, problem, q, Q,
+    sizes, counts,
+):  # fmt: skip
+    """Q (waypoints, n) from q on, sizes (2, tasks, waypoints) of errors [m; rad], counts (waypoints,) of iterations."""
     starts, ranged, _, lower, upper = problem[:5]
     n, M, levels = len(q), len(ranged), len(starts) - 1
-    T, J, e, A = np.empty((4, 4)), np.empty((6, n)), np.empty(M), np.empty((M, n))
+    T, J, e, A = np.empty((4, 4)), np.empty((6, n)), np.empty(M), np.zeros((M, n))
     low, high, dq, expected, none = np.empty((2, n)), np.empty((2, n)), np.zeros(n), np.zeros(M), np.zeros(M)
     memory = remember(M, n, levels)
     lengths, (predicted, missed) = memory[0][1], memory[2]
@@ -190,7 +203,7 @@ def follow(
     for k in range(len(targets)):
         last = Q[max(k - 1, 0)]
         for iteration in range(iterations + 1):
-            stack(kinds, targets[k], q, T, J, e, A)
+            errors(kinds, targets[k], q, T, e)
             worst = measure(e, starts, ranged, lower, upper, lengths)
             if iteration > 0:
                 learn(problem[9], memory[0])
@@ -202,13 +215,15 @@ def follow(
             if iteration == iterations or worst <= tolerance or (iteration > 0 and moved < least):
                 counts[k] = iteration
                 break
+            jacobians(kinds, targets[k], q, T, J, e, A)
             if iteration == 0:
                 expect(e, starts, missed, expected)
-            room(q, last, speeds[k], longest_step, low, high)
+            room(q, last, speeds[k], farthest, low, high)
             advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
             for j in range(n):
                 q[j] += dq[j]
             forward_jacobian(fixed, prismatic, q, T, J)
         if counts[k] == 0:
             missed[:] = 0.0
-        Q[k], E[k] = q, e
+        Q[k] = q
+        gauge(e, ranged, lower, upper, owner, angular, sizes[:, :, k])

@@ -1,10 +1,10 @@
 """Compiled step through all levels: strict priorities, ranges that bind only when they would be left, limits of a step.
 
-`rows` of all tasks stand one after the other: A (M, n) their Jacobian, a (M,) the speed each wants, `starts` where each
-level begins. Rows of a range (`ranged`) take part only while `active`; then they want `goal`. A step A dq keeps to the
-range where floor <= A dq <= ceiling. `setting` (levels, 5) is method, λ, rank tolerance, σ0 and v of each level's inverse,
-`reach` (levels, n) and `longest` (levels, blocks) its bounds where it is selective. Row 0 of low and high (2, n) is the
-room for ranges and for the first level of equations, row 1 that for all below.
+The rows of all tasks stand one after the other: A (M, n) their Jacobian, a (M,) the speed each wants, `starts` where
+each level begins. Rows of a range (`ranged`) take part only while `active`; then they want `goal`. A step dq keeps to
+the range where floor <= A dq <= ceiling. `setting` (levels, 5) is method, λ, rank tolerance, σ0 and v of each level's
+inverse, `reach` (levels, n) and `longest` (levels, blocks) its bounds where it is selective. Row 0 of low and high
+(2, n) is the room for ranges and for the first level of equations, row 1 that for all below.
 """
 
 import math
@@ -147,16 +147,17 @@ def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, re
 
     The ranges at stake are those that a mode before would have left; `active` tells which bind in the end.
     """
-    active[:] = False
-    descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq)
-    size, left = _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, 0)
-    while left:
+    size = 0
+    while True:
         before = size
         tried = min(size, _POOL)
-        for count in range(1 if size <= _POOL else 0, tried + 1):
+        for count in range(tried + 1):
+            if count == 0 and 0 < size <= _POOL:
+                continue  # nothing binds: that was tried first
             for mode in range(1 << tried):
                 if _bits(mode) != count:
                     continue
+                active[:] = False
                 _activate(active, pool, size, mode)
                 descend(
                     A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq
@@ -168,5 +169,3 @@ def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, re
                     break
             if size > before:
                 break
-        if size == before:
-            return  # all that are known bind

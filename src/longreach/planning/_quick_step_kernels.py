@@ -1,7 +1,7 @@
 """Compiled step of a hierarchy of tasks that do not get in each other's way: one Cholesky factorisation for all levels.
 
-With J = L V as in `_hierarchy_kernels`, J Jᵀ = L Lᵀ: Cholesky's factor is the same L. The block L_ij is what level i feels
-of level j's orthonormal directions, so that (4.16), any number of levels, is substitution block by block:
+With J = L V as in `_hierarchy_kernels`, J Jᵀ = L Lᵀ: Cholesky's factor is the same L. The block L_ij is what level i
+feels of level j's orthonormal directions, so that (4.16), any number of levels, is substitution block by block:
 
     (L_ii L_iiᵀ + λ_i I) c_i = a_i - Σ_j<i L_ij y_j,    y_i = L_iiᵀ c_i,    dq = Jᵀ L⁻ᵀ y.
 
@@ -9,7 +9,6 @@ It squares the condition number: rows that lie nearer than `_NEAR` to those abov
 """
 
 import math
-
 
 from longreach.kernels import kernel
 from longreach.planning import _pseudoinverse_kernels as inverses
@@ -20,7 +19,7 @@ _NEAR = 1e-4  # squared sine of the angle between a row and those before it; L t
 
 @kernel(fastmath=_FUSED)
 def _factor(A, rows, m, L):
-    """L L ᵀ = J Jᵀ of the rows; False where one of them lies too near to those before it."""
+    """L Lᵀ = J Jᵀ of the rows; False where one of them lies too near to those before it."""
     n = A.shape[1]
     for i in range(m):
         a = A[rows[i]]
@@ -68,7 +67,10 @@ def _damped(L, first, last, damping, M, b):
 
 @kernel(fastmath=_FUSED)
 def quick_step(A, a, starts, ranged, setting, rows, L, M, b, parts, dq):
-    """dq (n,) and how far each level's part of it goes, or False where the levels get in each other's way or their inverses need singular values."""
+    """dq (n,) and how far each level's part of it goes.
+
+    False where the levels get in each other's way or their inverses need singular values.
+    """
     m, n = 0, len(dq)
     for level in range(len(starts) - 1):
         first = m

@@ -1,7 +1,7 @@
 """Compiled errors and Jacobians of the common tasks, one below the other.
 
-A task is a kind and a target (a row of numbers: a pose row by row, [x, y, θ], or a configuration); T (4, 4) and J (6, n)
-are those of the tool. A base's q starts with x, y, θ.
+A task is a kind and a target (a row of numbers: a pose row by row, [x, y, θ], or a configuration); T (4, 4) and
+J (6, n) are those of the tool. A base's q starts with x, y, θ.
 """
 
 import numpy as np
@@ -27,22 +27,19 @@ def rows_of(kind, n):
 
 
 @kernel(fastmath=_FUSED)
-def tool_position(target, T, J, e, A):
-    """e (3,) = p - p_target, in the world."""
-    for i in range(3):
-        e[i] = T[i, 3] - target[4 * i + 3]
-        for k in range(J.shape[1]):
-            A[i, k] = J[i, k]
-
-
-@kernel(fastmath=_FUSED)
-def tool_orientation(T_target, T, J, e, A):
-    """e (3,) = log(R_targetᵀ R), A = J_r⁻¹(e) Rᵀ J_ω."""
-    R, M = np.empty((3, 3)), np.empty((3, 3))
+def _orientation_error(T_target, T, e):
+    """e (3,) = log(R_targetᵀ R)."""
+    R = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             R[i, j] = T_target[0, i] * T[0, j] + T_target[1, i] * T[1, j] + T_target[2, i] * T[2, j]
     e[0], e[1], e[2] = geometry.so3_log(R)
+
+
+@kernel(fastmath=_FUSED)
+def _orientation_jacobian(T, J, e, A):
+    """A (3, n) = J_r⁻¹(e) Rᵀ J_ω."""
+    R, M = np.empty((3, 3)), np.empty((3, 3))
     geometry.so3_left_jacobian_inverse(-e[0], -e[1], -e[2], R)
     for i in range(3):
         for j in range(3):
@@ -52,10 +49,8 @@ def tool_orientation(T_target, T, J, e, A):
 
 
 @kernel(fastmath=_FUSED)
-def base_pose(target, q, e, A):
-    """e (3,) = log(target⁻¹ base) in SE(2), A = J_r⁻¹(e) blkdiag(Rᵀ, 1) for the first three joints."""
-    x, y, t = geometry.se2_between(target[0], target[1], target[2], q[0], q[1], q[2])
-    e[0], e[1], e[2] = geometry.se2_log(x, y, t)
+def _base_jacobian(q, e, A):
+    """A (3, n) = J_r⁻¹(e) blkdiag(Rᵀ, 1) of the first three joints, e = log(target⁻¹ base) in SE(2)."""
     geometry.se2_right_jacobian_inverse(e[0], e[1], e[2], A)
     c, s = np.cos(q[2]), np.sin(q[2])
     for i in range(3):
@@ -63,28 +58,49 @@ def base_pose(target, q, e, A):
 
 
 @kernel(fastmath=_FUSED)
-def stack(kinds, targets, q, T, J, e, A):
-    """Fill e (M,) and A (M, n) with the tasks' rows; targets (tasks, width)."""
+def errors(kinds, targets, q, T, e):
+    """Fill e (M,) with the tasks' errors; targets (tasks, width)."""
     n, row = len(q), 0
     for i in range(len(kinds)):
         kind, target = kinds[i], targets[i]
         m = rows_of(kind, n)
         if kind == TOOL_POSE:
-            _task_kernels.pose_error_and_jacobian(target[:16].reshape(4, 4), T, J, e[row : row + m], A[row : row + m])
+            _task_kernels.pose_error(target[:16].reshape(4, 4), T, e[row : row + m])
         elif kind == TOOL_POSITION:
-            tool_position(target, T, J, e[row : row + m], A[row : row + m])
+            for j in range(3):
+                e[row + j] = T[j, 3] - target[4 * j + 3]
         elif kind == TOOL_ORIENTATION:
-            tool_orientation(target[:16].reshape(4, 4), T, J, e[row : row + m], A[row : row + m])
+            _orientation_error(target[:16].reshape(4, 4), T, e[row : row + m])
+        elif kind == BASE_POSE:
+            x, y, t = geometry.se2_between(target[0], target[1], target[2], q[0], q[1], q[2])
+            e[row], e[row + 1], e[row + 2] = geometry.se2_log(x, y, t)
+        elif kind == BASE_HEADING:
+            e[row] = geometry.wrap(q[2] - target[2])
         else:
-            A[row : row + m] = 0.0
-            if kind == BASE_POSE:
-                base_pose(target, q, e[row : row + m], A[row : row + m])
-            elif kind == BASE_POSITION:
-                for j in range(2):
-                    e[row + j], A[row + j, j] = q[j] - target[j], 1.0
-            elif kind == BASE_HEADING:
-                e[row], A[row, 2] = geometry.wrap(q[2] - target[2]), 1.0
-            else:
-                for j in range(n):
-                    e[row + j], A[row + j, j] = q[j] - target[j], 1.0
+            for j in range(m):
+                e[row + j] = q[j] - target[j]
+        row += m
+
+
+@kernel(fastmath=_FUSED)
+def jacobians(kinds, targets, q, T, J, e, A):
+    """Fill A (M, n) with the derivatives of the errors e; what is 0 at all times must be 0 already."""
+    n, row = len(q), 0
+    for i in range(len(kinds)):
+        kind = kinds[i]
+        m = rows_of(kind, n)
+        if kind == TOOL_POSE:
+            T_target = targets[i, :16].reshape(4, 4)
+            _task_kernels.pose_jacobian(T_target, T, J, e[row : row + m], A[row : row + m])
+        elif kind == TOOL_POSITION:
+            A[row : row + m] = J[:3]
+        elif kind == TOOL_ORIENTATION:
+            _orientation_jacobian(T, J, e[row : row + m], A[row : row + m])
+        elif kind == BASE_POSE:
+            _base_jacobian(q, e[row : row + m], A[row : row + m])
+        elif kind == BASE_HEADING:
+            A[row, 2] = 1.0
+        else:
+            for j in range(m):
+                A[row + j, j] = 1.0
         row += m

@@ -45,7 +45,8 @@ def _relative(T_target, T, R, p):
 @kernel
 def pose_error(T_target, T, e):
     """e (6,) = log(T_target⁻¹ T) (4.28)."""
-    R, p = np.empty((3, 3)), np.empty(3)
+    room = np.empty((4, 3))
+    R, p = room[:3], room[3]
     _relative(T_target, T, R, p)
     wx, wy, wz = so3_log(R)
     t2 = wx * wx + wy * wy + wz * wz
@@ -77,9 +78,8 @@ def _times(A, B, transposed, out):
 
 
 @kernel
-def _carry(A, B, T, J, J_e):
-    """J_e = [[A, B], [0, A]] blkdiag(Rᵀ, Rᵀ) J, R the rotation of T."""
-    M, N = np.empty((3, 3)), np.empty((3, 3))
+def _carry(A, B, T, J, M, N, J_e):
+    """J_e = [[A, B], [0, A]] blkdiag(Rᵀ, Rᵀ) J, R the rotation of T; M and N (3, 3) are room."""
     _times(A, T, True, M)
     _times(B, T, True, N)
     for i in range(3):
@@ -93,10 +93,16 @@ def _carry(A, B, T, J, J_e):
 
 @kernel
 def pose_error_and_jacobian(T_target, T, J, e, J_e):
-    """e (6,) = log(T_target⁻¹ T) and J_e (6, n) = J_r⁻¹(e) blkdiag(Rᵀ, Rᵀ) J, J (6, n) the world-aligned Jacobian."""
-    R, p = np.empty((3, 3)), np.empty(3)
-    A, D, DA = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    """e (6,) = log(T_target⁻¹ T) and its derivative."""
     pose_error(T_target, T, e)
+    pose_jacobian(T_target, T, J, e, J_e)
+
+
+@kernel
+def pose_jacobian(T_target, T, J, e, J_e):
+    """J_e (6, n) = J_r⁻¹(e) blkdiag(Rᵀ, Rᵀ) J at the error e, J (6, n) the world-aligned Jacobian."""
+    room = np.empty((6, 3, 3))
+    A, D, DA, R, p = room[0], room[1], room[2], room[3], room[4, 0]
     _relative(T_target, T, R, p)
     w = e[3:]
     t2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -110,7 +116,7 @@ def pose_error_and_jacobian(T_target, T, J, e, J_e):
             A[i, j] += E * w[i] * w[j]
             D[i, j] += E * w[i] * p[j] + f * w[j]
     _times(D, A, False, DA)
-    _carry(A, DA, T, J, J_e)
+    _carry(A, DA, T, J, R, room[5], J_e)
 
 
 @kernel

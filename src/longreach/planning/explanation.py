@@ -18,11 +18,11 @@ def size_text(linear: float, angular: float) -> str:
 def why(stack: Stack, q: Float[np.ndarray, " n"], task: int, hurried: bool = False) -> str:
     """Return a sentence about a task that is not met at q: by how much, and what stands against it.
 
-    Where the way down its error is closed by the rows of a task above it, that one is named. hurried: whether the joints
-    were at their limits of speed.
+    Where the way down its error is closed by the rows of a task above it, that one is named. hurried: whether a joint
+    was at its limit of speed.
     """
     e, A = stack.rows(q)
-    linear, angular = (float(size) for size in stack.sizes(e, task))
+    linear, angular = stack.sizes(e)[:, task].tolist()
     start = f"The {stack.tasks[task].name} is off by {size_text(linear, angular)}"
     mine = stack.owner == task
     error = e - np.clip(e, stack.lower, stack.upper)
@@ -46,7 +46,7 @@ def why(stack: Stack, q: Float[np.ndarray, " n"], task: int, hurried: bool = Fal
 
 
 def _holding(stack: Stack, task: int, e: np.ndarray, A: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Return the rows of a task that a step the given way would disturb: all of an equation, of a range those at stake."""
+    """Return the rows of a task that bar the given way: all of an equation, of a range those that it would leave."""
     rows = stack.owner == task
     moves = A @ way
     at_lower, at_upper = e <= stack.lower + _AT, e >= stack.upper - _AT

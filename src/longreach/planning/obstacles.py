@@ -76,7 +76,7 @@ def _check_radius(radius: float) -> None:
 
 
 def segment_distance(a: Point, b: Point, obstacle: Obstacle) -> tuple[float, Point, Point]:
-    """Return the signed distance [m] of the segment ab, its nearest point, and the unit vector (3,) away from the obstacle.
+    """Return the signed distance [m] of the segment ab, its nearest point, and the unit vector away from the obstacle.
 
     A point x of the segment there, moved by dx, changes the distance by that vector times dx.
     """
@@ -95,7 +95,7 @@ def segment_distance(a: Point, b: Point, obstacle: Obstacle) -> tuple[float, Poi
 
 
 def base_distance(x_y: Float[np.ndarray, "2"], obstacle: Obstacle) -> tuple[float, Float[np.ndarray, "2"]]:
-    """Return the signed distance [m] of a point on the floor from an obstacle seen from above, and its gradient (2,)."""
+    """Return the signed distance [m] of a point on the floor from an obstacle, seen from above, and its gradient."""
     if isinstance(obstacle, Box) and abs(obstacle.T[2, 2]) > 1.0 - 1e-9:  # so that the way out is level
         obstacle = Box(obstacle.T, np.array([obstacle.size[0], obstacle.size[1], 4.0 * _ENDLESS]))
     point = np.append(x_y, 0.0)

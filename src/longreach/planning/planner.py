@@ -1,6 +1,7 @@
 """The main path: a reference for tool and base becomes a trajectory of all joints."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -63,16 +64,36 @@ def plan_by_task_priority(
         raise PlanningError(f"The reference moves a base, but {robot.name} is bolted down; give it tool poses only.")
     reach = np.full((len(reference), robot.dof), np.inf)  # to the first one there is no time to keep
     np.multiply.outer(np.diff(reference.stamps), robot.limits.velocity, out=reach[1:])
-    stack = Stack.of(robot, _levels(reference, 0, above, below), config.limits)
+    if above or below:
+        stack = Stack.of(robot, _levels(reference, 0, above, below), config.limits)
+    else:
+        stack = _usual(robot, reference.tool is not None, reference.base is not None, config.limits)
     if stack.compiled and not callable(free):
-        Q, E, counts = _compiled(stack, reference, reach, q, iterations, config, free)
+        Q, sizes, _ = _compiled(stack, reference, reach, q, iterations, config, free)
     else:
         config = config.model_copy(update={"iterations": iterations})
         waypoints = [_levels(reference, k, above, below) for k in range(len(reference))]
-        stack, Q, E, counts = follow(robot, waypoints, reach, q, config, free)
-    at = lambda k: Stack.of(robot, _levels(reference, k, above, below), config.limits)  # noqa: E731
-    reports = _reports(stack, at, Q, E, reach, config.met)
+        Q, sizes, _ = follow(robot, waypoints, reach, q, config, free)
+
+    def why_at(k: int, task: int) -> str:
+        hurried = bool(np.any(np.abs(Q[k] - Q[max(k - 1, 0)]) > 0.999 * reach[k]))
+        return why(Stack.of(robot, _levels(reference, k, above, below), config.limits), Q[k], task, hurried)
+
+    reports = tuple(
+        _report(task.name, sizes[:, i], config.met, partial(why_at, task=i)) for i, task in enumerate(stack.tasks)
+    )
     return ConfigurationTrajectory(reference.stamps, Q, robot.joint_names, reports=reports)
+
+
+@lru_cache(maxsize=64)
+def _usual(robot: MobileManipulator, tool: bool, base: bool, limits: bool) -> Stack:
+    """Return the rows of tool and base, which are the same at all waypoints but for their targets."""
+    tasks: list[Task] = []
+    if tool:
+        tasks.append(ToolPose(np.eye(4), name="tool"))
+    if base:
+        tasks.append(BasePose(np.zeros(3), name="base"))
+    return Stack.of(robot, tasks, limits)
 
 
 def _levels(reference: Reference, k: int, above: Levels, below: Levels) -> list[Task | Sequence[Task]]:
@@ -89,7 +110,7 @@ def _compiled(
     stack: Stack, reference: Reference, reach: np.ndarray, q: np.ndarray, iterations: int,
     config: TaskPriorityConfig, free: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return configurations, the rows' values and iterations at all waypoints, by one call of a kernel."""
+    """Return configurations, sizes of errors and iterations at all waypoints, by one call of a kernel."""
     robot, count = stack.robot, len(reference)
     targets = np.zeros((count, len(stack.tasks), max(16, robot.dof)))
     for i, task in enumerate(stack.tasks):
@@ -102,29 +123,24 @@ def _compiled(
             targets[:, i, : len(numbers)] = numbers
     kinds = np.array([task.kind for task in stack.tasks])
     z = np.zeros(robot.dof) if free is None else free
-    Q, E, counts = np.empty((count, robot.dof)), np.empty((count, len(stack.kept))), np.zeros(count, dtype=np.int64)
+    Q, counts = np.empty((count, robot.dof)), np.zeros(count, dtype=np.int64)
+    sizes = np.empty((2, len(stack.tasks), count))
     Q[0] = q
     kernels.follow(
-        robot.fixed, robot.prismatic, kinds, targets, reach, farthest(robot, config), iterations, config.tolerance,
-        config.least_step, settings(config, stack, z), q, Q, E, counts,
+        robot.fixed, robot.prismatic, kinds, targets, stack.owner, stack.angular, reach, farthest(robot, config),
+        iterations, config.tolerance, config.least_step, settings(config, stack, z), q, Q, sizes, counts,
     )  # fmt: skip
-    return Q, E, counts
+    return Q, sizes, counts
 
 
-def _reports(
-    stack: Stack, at: Callable[[int], Stack], Q: np.ndarray, E: np.ndarray, reach: np.ndarray, met: float
-) -> tuple[TaskReport, ...]:
-    reports = []
-    for i, task in enumerate(stack.tasks):
-        linear, angular = stack.sizes(E, i)
-        unmet, reason = np.hypot(linear, angular) > met, f"The {task.name} is met everywhere."
-        if unmet.any():
-            worst = int(np.argmax(np.hypot(linear, angular)))
-            step = np.abs(Q[worst] - Q[max(worst - 1, 0)])
-            hurried = bool(np.any(step > 0.999 * reach[worst]))
-            reason = f"At waypoint {worst}, the worst of {int(unmet.sum())}: {why(at(worst), Q[worst], i, hurried)}"
-        reports.append(TaskReport(task.name, linear, angular, unmet, reason))
-    return tuple(reports)
+def _report(name: str, sizes: np.ndarray, met: float, why_at: Callable[[int], str]) -> TaskReport:
+    size = np.hypot(*sizes)
+    worst = int(np.argmax(size))
+    if size[worst] <= met:
+        return TaskReport(name, *sizes, np.zeros(len(size), dtype=bool), f"The {name} is met everywhere.")
+    unmet = size > met
+    reason = f"At waypoint {worst}, the worst of {int(unmet.sum())}: {why_at(worst)}"
+    return TaskReport(name, *sizes, unmet, reason)
 
 
 _METHODS: dict[str, Callable[..., ConfigurationTrajectory]] = {"task-priority": plan_by_task_priority}

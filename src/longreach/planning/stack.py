@@ -1,10 +1,12 @@
 """Tasks of all levels for one robot, their rows one after the other as the kernels take them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from longreach.planning._follow_kernels import gauge
 from longreach.planning.task import Levels, Task, levels_of
 from longreach.planning.tasks_range import WithinLimits
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -63,7 +65,7 @@ class Stack:
             np.array([task.ranged for task in flat])[owner],
         )
 
-    @property
+    @cached_property
     def compiled(self) -> bool:
         """Whether the kernels know all of its tasks."""
         plain = all(task.kind is not None and getattr(task, "frame", None) is None for task in self.tasks)
@@ -76,14 +78,9 @@ class Stack:
         A = np.concatenate([A for _, A in parts])[self.kept]
         return self.weights * e, self.weights[:, None] * A
 
-    def errors(self, e: Float[np.ndarray, "*batch M"]) -> Float[np.ndarray, "*batch M"]:
-        """Return what of the values is error, without weights: all of an equation's, what is out of a range."""
-        return (e - np.clip(e, self.lower, self.upper)) / self.weights
-
-    def sizes(
-        self, e: Float[np.ndarray, "*batch M"], task: int
-    ) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
-        """Return the length [m] and the angle [rad] of a task's errors."""
-        mine = self.errors(e)
-        linear, angular = (mine[..., (self.owner == task) & (self.angular == turns)] for turns in (False, True))
-        return np.linalg.norm(linear, axis=-1), np.linalg.norm(angular, axis=-1)
+    def sizes(self, e: Float[np.ndarray, " M"]) -> Float[np.ndarray, "2 tasks"]:
+        """Return the length [m] and the angle [rad] of each task's errors, without weights."""
+        out = np.empty((2, len(self.tasks)))
+        w = self.weights
+        gauge(e / w, self.ranged, self.lower / w, self.upper / w, self.owner, self.angular, out)
+        return out

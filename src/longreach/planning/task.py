@@ -2,8 +2,8 @@
 
 There is one shape for all. `value_and_jacobian` gives v(q) (m,) and ∂v/∂q (m, n); `bounds` says between what v should
 lie. A task whose bounds are both 0 is an equation v = 0, v being an error such as log(T_target⁻¹ T) (4.28); one with
-others is a range (set-based task), which binds only when a step would leave it. Nothing here has a sign or a gain turned
-in: the -λ lives in the solver.
+others is a range (set-based task), which binds only when a step would leave it. Nothing here has a sign or a gain in
+it: the -λ lives in the solver.
 """
 
 from abc import ABC, abstractmethod

@@ -5,12 +5,13 @@ Chiaverini (4.17) is steadier where tasks collide but lags behind. Ranges (joint
 hierarchy where they stand and bind only when a step would leave them. Limits of one step shorten the part of the lowest
 level first, so that the direction of the highest task stays as it is.
 
-Source: Siciliano & Slotine 1991, "A general framework for managing multiple tasks in highly redundant robotic systems";
-Chiaverini 1997; Moe, Antonelli, Teel, Pettersen & Schrimpf 2016, "Set-based tasks within the singularity-robust multiple
-task-priority inverse kinematics framework".
+Source: Siciliano & Slotine 1991, "A general framework for managing multiple tasks in highly redundant robotic
+systems"; Chiaverini 1997; Moe, Antonelli, Teel, Pettersen & Schrimpf 2016, "Set-based tasks within the
+singularity-robust multiple task-priority inverse kinematics framework".
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -50,12 +51,14 @@ class TaskPriorityConfig(BaseModel):
         default=1.0,
         ge=0,
         allow_inf_nan=False,
-        description="Where damped, at most this times ‖e‖ is added to λ as steps miss what they promise [1]; ours, about "
-        "a chain's curvature.",
+        description="Where damped, at most this times ‖e‖ is added to λ as steps miss what they promise [1]; ours, "
+        "about a chain's curvature.",
     )
     limits: bool = Field(default=True, description="Whether the joints' limits come before all tasks.")
     iterations: int = Field(default=200, ge=1, description="At most so many for one configuration [1].")
-    max_step_revolute: float = Field(default=0.2, gt=0, description="Farthest a joint goes in one iteration [rad]; ours.")
+    max_step_revolute: float = Field(
+        default=0.2, gt=0, description="Farthest a joint goes in one iteration [rad]; ours."
+    )
     max_step_prismatic: float = Field(default=0.2, gt=0, description="The same of a prismatic joint [m]; ours.")
     tolerance: float = Field(default=1e-12, ge=0, description="An error that ends the iteration [m, rad]; ours.")
     least_step: float = Field(default=1e-9, ge=0, description="A step that ends it [m, rad]; ours.")
@@ -64,21 +67,31 @@ class TaskPriorityConfig(BaseModel):
     )
 
 
-
-def settings(config: TaskPriorityConfig, stack: Stack, z: np.ndarray) -> tuple[Any, ...]:
-    """Return what the kernels call `problem`."""
-    levels, n = len(stack.starts) - 1, stack.robot.dof
-    chosen = [config.inverses[min(i, len(config.inverses) - 1)] for i in range(levels)]
-    if config.limits:  # their level is not one that the caller counts
+@lru_cache(maxsize=64)
+def _inverses(config: TaskPriorityConfig, stack: Stack) -> tuple[np.ndarray, ...]:
+    """Return each level's method, rank tolerance and filter (levels, 5), dampings, and bounds where selective."""
+    levels, n = len(stack.starts) - 1, len(config.inverses)
+    chosen = [config.inverses[min(i, n - 1)] for i in range(levels)]
+    if stack.ranged[0]:  # the level of the limits is not one that the caller counts
         chosen = [chosen[0], *chosen[:-1]]
     filters = [(0.0, 0.0) if c.filter is None else (c.filter.sigma0, c.filter.v) for c in chosen]
     setting = np.array([[_METHODS[c.method], 0.0, c.rank_tolerance, *f] for c, f in zip(chosen, filters, strict=True)])
     widest = int(np.max(np.diff(stack.starts)))
     return (
-        stack.starts, stack.ranged, stack.gains, stack.lower, stack.upper, _SCHEMES[config.scheme], setting,
-        np.array([c.damping for c in chosen]), np.array([c.error_damping for c in chosen]),
-        float(config.learned_damping), np.array([c.max_step(stack.robot.prismatic) for c in chosen]),
-        np.array([c.max_error(widest) for c in chosen]), np.asarray(z, dtype=float).reshape(n),
+        setting,
+        np.array([c.damping for c in chosen]),
+        np.array([c.error_damping for c in chosen]),
+        np.array([c.max_step(stack.robot.prismatic) for c in chosen]),
+        np.array([c.max_error(widest) for c in chosen]),
+    )
+
+
+def settings(config: TaskPriorityConfig, stack: Stack, z: np.ndarray) -> tuple[Any, ...]:
+    """Return what the kernels call `problem`."""
+    setting, damping, by_error, reach, longest = _inverses(config, stack)
+    return (
+        stack.starts, stack.ranged, stack.gains, stack.lower, stack.upper, _SCHEMES[config.scheme], setting.copy(),
+        damping, by_error, config.learned_damping, reach, longest, np.array(z, dtype=float),
     )  # fmt: skip
 
 
@@ -137,8 +150,8 @@ def solve_priority(
     Arguments: tasks: a sequence of levels, the most important first; tasks in a sequence of their own share a level.
         free: z of (4.15), a step (n,) or a function of q that gives one, made in what all tasks leave free.
 
-    A start outside the joints' limits comes back inside. `residuals` are ‖e‖ with a length of 1 m, `status` says of each
-    task that is not met what stands against it.
+    A start outside the joints' limits comes back inside. `residuals` are ‖e‖ with a length of 1 m, `status` says of
+    each task that is not met what stands against it.
 
     Raises:
         PlanningError: a task or the start does not fit the robot.
@@ -155,7 +168,8 @@ def solve_priority(
     e, iterations = _iterate(
         stack, problem, memory, q, q.copy(), unlimited, config.iterations, config, free, expects=False
     )
-    residuals = {task.name: float(np.hypot(*stack.sizes(e, i))) for i, task in enumerate(stack.tasks)}
+    sizes = np.hypot(*stack.sizes(e)).tolist()
+    residuals = {task.name: size for task, size in zip(stack.tasks, sizes, strict=True)}
     violated = tuple(name for name, size in residuals.items() if size > config.met)
     reasons = [why(stack, q, i) for i, task in enumerate(stack.tasks) if task.name in violated]
     status = " ".join(reasons) or "All tasks are met."
@@ -169,24 +183,22 @@ def follow(
     q0: Float[np.ndarray, " n"],
     config: TaskPriorityConfig,
     free: Free = None,
-) -> tuple[Stack, Float[np.ndarray, "k n"], Float[np.ndarray, "k M"], Int[np.ndarray, " k"]]:
-    """Return the rows' layout, configurations, the rows' values and iterations at each waypoint, from tasks of any kind.
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "2 tasks k"], Int[np.ndarray, " k"]]:
+    """Return configurations, sizes of errors [m; rad] and iterations at each waypoint, from tasks of any kind.
 
     Arguments: speeds: how far a joint may go from one waypoint to the next.
     """
     q, memory, problem = checked_start(robot, q0), None, None
     z = np.zeros(robot.dof) if free is None or callable(free) else free
-    Q, E, counts = [], [], []
+    Q, sizes, counts = [], [], []
     for k, tasks in enumerate(waypoints):
         stack = Stack.of(robot, tasks, config.limits)
         if memory is None:
             memory = kernels.remember(len(stack.kept), robot.dof, len(stack.starts) - 1)
         problem = settings(config, stack, z)
         last = Q[-1] if Q else q.copy()
-        e, count = _iterate(
-            stack, problem, memory, q, last, speeds[k], config.iterations, config, free, expects=True
-        )
+        e, count = _iterate(stack, problem, memory, q, last, speeds[k], config.iterations, config, free, expects=True)
         Q.append(q.copy())
-        E.append(e)
+        sizes.append(stack.sizes(e))
         counts.append(count)
-    return stack, np.array(Q), np.array(E), np.array(counts)
+    return np.array(Q), np.stack(sizes, axis=-1), np.array(counts)

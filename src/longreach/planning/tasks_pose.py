@@ -27,8 +27,10 @@ class _Common(Task):
         self, robot: MobileManipulator, q: Float[np.ndarray, " n"], T: np.ndarray, J: np.ndarray
     ) -> tuple[Value, Jacobian]:
         m = len(self.angular(robot))
-        e, A = np.empty(m), np.empty((m, robot.dof))
-        kernels.stack(np.array([self.kind]), self.numbers()[None], np.asarray(q, dtype=float), T, J, e, A)
+        e, A, kinds, target = np.empty(m), np.zeros((m, robot.dof)), np.array([self.kind]), self.numbers()[None].copy()
+        q = np.array(q, dtype=float)
+        kernels.errors(kinds, target, q, T, e)
+        kernels.jacobians(kinds, target, q, T, J, e, A)
         return e, A
 
 

@@ -37,7 +37,7 @@ class WithinLimits(Task):
 
 @dataclass(frozen=True, eq=False)
 class BaseClearance(Task):
-    """Distance (k,) [m] of a disc of `radius` about the base's origin from each of k obstacles, at least `margin`; (4.29).
+    """Distance (k,) [m] of a disc of `radius` about the base's origin from k obstacles, at least `margin`; (4.29).
 
     All is seen from above: under a table counts as inside it.
     """
@@ -79,9 +79,7 @@ class ArmClearance(Task):
             T, J = robot.frame_and_jacobian(link.frame, q)
             R, p = T[:3, :3], T[:3, 3]
             for obstacle in self.obstacles:
-                distance, near, normal = segment_distance(
-                    R @ link.capsule.a + p, R @ link.capsule.b + p, obstacle
-                )
+                distance, near, normal = segment_distance(R @ link.capsule.a + p, R @ link.capsule.b + p, obstacle)
                 v.append(distance - link.capsule.radius)
                 rows.append(normal @ J[:3] + np.cross(near - p, normal) @ J[3:])
         return np.array(v), np.array(rows).reshape(-1, robot.dof)
