@@ -56,6 +56,13 @@ def room_for(n):
 
 
 @kernel
+def put(x, out):
+    """out[:] = x (numba takes long to compile that)."""
+    for k in range(len(x)):
+        out[k] = x[k]
+
+
+@kernel
 def gap(target, T, R, e):
     """Fill e (6,) = [p_target - p; log(R_target Rᵀ)], world-aligned as the Jacobian is; return both lengths."""
     for i in range(3):
@@ -157,13 +164,14 @@ def settle(joints, room, target, most, q, trial):
     forward_jacobian(joints.fixed, joints.prismatic, q, room.T, room.J)
     position, orientation = gap(target, room.T, room.R, room.e)
     for used in range(most):
-        trial[:] = q
+        put(q, trial)
         _step(joints, room, damping, trial)
         forward_jacobian(joints.fixed, joints.prismatic, trial, room.T, room.J)
         p, o = gap(target, room.T, room.R, room.e)
         gain = position * position + orientation * orientation - p * p - o * o
         if gain > 0.0:
-            q[:], position, orientation, damping = trial, p, o, max(0.2 * damping, _FLOOR)
+            put(trial, q)
+            position, orientation, damping = p, o, max(0.2 * damping, _FLOOR)
             if gain < _SETTLED * (p * p + o * o):
                 return used + 1, position, orientation
         else:

@@ -6,16 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from longreach.kernels import kernel
-from longreach.planning._descent_kernels import Joints, descend, reached, room_for, settle
+from longreach.planning._descent_kernels import Joints, descend, put, reached, room_for, settle
 from longreach.planning._ur_kernels import arm_postures, wrist_pose
 from longreach.robot._kinematics_kernels import forward_jacobian
 
-_APPROACH = 5  # iterations that bring the base near, before the closed form places the arm
-_DESCENT = 60  # iterations from a start
-_POLISH = 8  # iterations from a closed form to what it leaves out, a calibration's deviations
+# Iterations; plain numbers would make numba compile a descent for each.
+_APPROACH = np.int64(5)  # that bring the base near, before the closed form places the arm
+_DESCENT = np.int64(60)  # from a start
+_POLISH = np.int64(8)  # from a closed form to what it leaves out, a calibration's deviations
+_SETTLING = np.int64(200)  # on the nearest of all, where none arrives
 _PLACES = 300  # of the base at which the arm is tried
 _STARTS = 400  # of descents
-_SETTLING = 200  # iterations on the nearest of all, where none arrives
 _TRIED = 2  # postures at one place of the base
 _SLACK = 0.05  # [rad, m] by which a posture may miss, and be polished
 _EXACT = 1e-9  # [rad, m], less is rounding
@@ -102,18 +103,28 @@ def place_arm(joints, arm, room, postures, target, near, q):
 
 
 @kernel
+def _least(x):
+    """Where the least of x stands (np.argmin takes longer to compile)."""
+    row = 0
+    for i in range(1, len(x)):
+        if x[i] < x[row]:
+            row = i
+    return row
+
+
+@kernel
 def _nearest_posture(joints, arm, room, postures, target, near, q, trial):
     """Try the postures from the nearest on; put the first that holds into `trial` and return what `descend` does."""
     first = joints.fixed.shape[0] - 7
     place_arm(joints, arm, room, postures, target, near, q)
     used = 0
     for _ in range(8 if first == 0 else _TRIED):
-        row = np.argmin(postures.cost)
+        row = _least(postures.cost)
         if postures.miss[row] > _SLACK or postures.cost[row] == np.inf:
             break
         postures.cost[row] = np.inf
-        trial[:] = q
-        trial[first : first + 6] = postures.Q[row]
+        put(q, trial)
+        put(postures.Q[row], trial[first:])
         more, position, orientation = descend(joints, room, target, _POLISH, trial)
         used += more
         if reached(position, orientation):
@@ -154,7 +165,7 @@ def solve(fixed, prismatic, span, ends, shape, target, q0, q):
     room, start, trial = room_for(n), np.empty(n), np.empty(n)
     for k in range(n):
         start[k] = min(max(q0[k], joints.lower[k]), joints.upper[k])
-    q[:] = start
+    put(start, q)
     has_arm = len(arm.ends) > 0
     used, position, orientation = 0, np.inf, np.inf
     if not has_arm or joints.fixed.shape[0] > 7:
@@ -164,7 +175,7 @@ def solve(fixed, prismatic, span, ends, shape, target, q0, q):
         more, p, o = _with_arm(joints, arm, room, target, q0, start, q, trial)
         used += more
         if reached(p, o):
-            q[:] = trial
+            put(trial, q)
             return used, p, o
     if reached(position, orientation):
         return used, position, orientation
@@ -177,10 +188,11 @@ def _with_arm(joints, arm, room, target, q0, start, q, trial):
     postures = Postures(np.empty((8, 6)), np.empty(8), np.empty(8), np.empty((4, 4)), np.empty((4, 4)))
     base = joints.fixed.shape[0] - 7
     reach = arm.shape[2, 0] + arm.shape[2, 1]
-    place, used = q.copy(), 0
+    place, used = np.empty(len(q)), 0
+    put(q, place)
     for number in range(_PLACES if base > 0 else 1):
         if number == 1:
-            place[:base] = start[:base]
+            put(start[:base], place)
         elif number > 1:
             _draw(joints, base, number, q, reach, place)
         more, position, orientation = _nearest_posture(joints, arm, room, postures, target, q0, place, trial)
@@ -195,7 +207,7 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
     """Descend from the seed and from everywhere between the limits; q keeps the best of all."""
     best = np.inf
     for number in range(_STARTS + 1):
-        trial[:] = start
+        put(start, trial)
         if number > 0:
             reach = 1.0 + abs(target[0, 3]) + abs(target[1, 3]) + abs(target[2, 3])
             _draw(joints, joints.fixed.shape[0] - 1, number, start, reach, trial)
@@ -203,7 +215,7 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
         used += more
         if p * p + o * o < best:
             best = p * p + o * o
-            q[:] = trial
+            put(trial, q)
             if reached(p, o):
                 return used, p, o
     more, position, orientation = settle(joints, room, target, _SETTLING, q, trial)
@@ -220,7 +232,7 @@ def all_postures(fixed, prismatic, span, ends, shape, target, near, Q):
     for row in range(8):
         if postures.miss[row] > _SLACK:
             continue
-        Q[count] = postures.Q[row]
+        put(postures.Q[row], Q[count])
         _, position, orientation = descend(joints, room, target, _POLISH, Q[count])
         if reached(position, orientation) and _is_new(Q, count):
             count += 1
