@@ -36,7 +36,10 @@ class EvaluationConfig(BaseModel):
 
 
 class EstimateConfig(BaseModel):
-    """Settings of an estimation: which sources are fused, and each step's own."""
+    """Settings of an estimation: which sources are fused, and each step's own.
+
+    Settings of the filter that are not given come from the robot and the recording; `Estimate.config` has what ran.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

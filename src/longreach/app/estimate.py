@@ -23,7 +23,7 @@ from longreach.estimation import fusion, offline
 from longreach.estimation.fusion import Anchor, Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.evaluation.consistency import consistency_metrics
-from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement
+from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
 from longreach.odometry.range_flow import ScanMatch, lidar_odometry
 from longreach.odometry.wheel import wheel_odometry
@@ -85,47 +85,33 @@ def estimate(
     Raises:
         EstimationError: a source that was asked for is not in the recording, or nothing is there to fuse.
     """
-    config, robot = config or EstimateConfig(), description_of(robot)
+    robot, config = description_of(robot), config or EstimateConfig()
+    config = config.model_copy(update={"filter": filter_for(config, robot, recording)})
     tell = progress or (lambda stage, fraction: None)
-    truth = truth if truth is not None else recording.truth
     sources = _sources(recording, config)
 
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
-    mount = sensor_mount(recording, robot, "lidar")
-    count = max(len(recording.scans), 1)
-    matches = lidar_odometry(
-        _one_a_stamp(recording.scans), mount, config.range_flow, lambda i: tell("LIDAR odometry", i / count)
-    )  # (3.24)–(3.26)
+    matches = _matches(recording, robot, config, tell)  # (3.24)–(3.26)
     found = tuple(match.measurement for match in matches if match.measurement is not None)
-    imu = _imu(recording, robot) if "imu" in sources else ()
-    fixes = recording.fixes if "fixes" in sources else ()
-
     dead_reckoning = {
-        "wheels": chain(wheels.measurements, [w.stamp for w in recording.wheels]),
         "lidar": chain(found, [scan.stamp for scan in recording.scans]),
+        "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
-    measured: list[Event] = [*imu, *fixes]
-    for source, relative in (("wheels", wheels.measurements), ("lidar", found)):
-        if source in sources:
-            measured += _anchored(relative)
-    if not measured:
-        raise EstimationError(_nothing(recording))
-    events = fusion.in_order(measured)
 
-    begin = events[0].stamp
-    pose, covariance = start_pose(fixes, [dead_reckoning[s] for s in ("lidar", "wheels") if s in sources], begin)
-    state = fusion.init(begin, pose, covariance, filter_for(config, robot, recording))
+    events = _events(recording, robot, sources, {"wheels": wheels.measurements, "lidar": found})
+    begin, fixes = events[0].stamp, recording.fixes if "fixes" in sources else ()
+    pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
+    state = fusion.init(begin, pose, covariance, config.filter)
     state, fused, corrections = offline.run(state, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
 
-    trajectories = {"fused": _at_rows(fused, recording)}
-    trajectories |= {name: path for name, path in dead_reckoning.items() if len(path) > 1}
-    trajectories = {name: _as_recorded(path, recording) for name, path in trajectories.items()}
     tell("evaluation", 0.0)
-    evaluation = evaluate(trajectories, truth, relations, config.evaluation)
+    trajectories = _as_recorded({"fused": _at_rows(fused, recording), **dead_reckoning}, recording)
+    evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, corrections, found)
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
-    evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
-    return Estimate(recording, robot, config, matches, corrections, evaluation)
+    return Estimate(
+        recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
+    )
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -154,19 +140,40 @@ def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]
     return config.sources
 
 
-def _one_a_stamp(scans: Sequence[LaserScan]) -> list[LaserScan]:
-    """Keep the last of the scans that have one stamp, for between them is no time to move in."""
+def _matches(
+    recording: Recording, robot: RobotDescription, config: EstimateConfig, tell: Progress
+) -> tuple[ScanMatch, ...]:
+    """Match each scan against the one before; of those of one stamp the last, for between them is no time to move."""
+    scans = recording.scans
     if any(later.stamp < scan.stamp for scan, later in pairwise(scans)):
         raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
-    return [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
+    some = [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
+    mount = sensor_mount(recording, robot, "lidar")
+    return lidar_odometry(some, mount, config.range_flow, lambda i: tell("LIDAR odometry", i / len(some)))
 
 
-def _nothing(recording: Recording) -> str:
-    return (
-        f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
-        f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes tell of no motion; it takes two good "
-        "wheel records or scans."
-    )
+def _events(
+    recording: Recording,
+    robot: RobotDescription,
+    sources: Sequence[Source],
+    odometry: Mapping[Source, Sequence[RelativePoseMeasurement]],
+) -> list[Event]:
+    """Return what the sources measured, as the filter takes it."""
+    events: list[Event] = []
+    if "imu" in sources:
+        events += _imu(recording, robot)
+    if "fixes" in sources:
+        events += recording.fixes
+    for source, measurements in odometry.items():
+        if source in sources:
+            events += _anchored(measurements)
+    if not events:
+        raise EstimationError(
+            f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
+            f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes tell of no motion; it takes two good "
+            "wheel records or scans."
+        )
+    return fusion.in_order(events)
 
 
 def _anchored(measurements: Sequence[RelativePoseMeasurement]) -> list[Event]:
@@ -186,7 +193,9 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
         raise EstimationError(f"The recording has an IMU, but the description of {robot.name} does not say what it is.")
     T = sensor_mount(recording, robot, "imu")
     noise = robot.imu
-    return tuple(planar_imu(imu, T, noise.gyro_deviation**2, noise.acceleration_deviation**2) for imu in recording.imu)
+    R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
+    with np.errstate(invalid="ignore"):  # the filter refuses what is not finite, and counts it
+        return tuple(planar_imu(imu, T, *R) for imu in recording.imu)
 
 
 def _with_consistency(
@@ -212,8 +221,13 @@ def _at_rows(fused: PoseTrajectory, recording: Recording) -> PoseTrajectory:
     return PoseTrajectory(fused.stamps[keep], fused.poses[keep], fused.covariance[keep], fused.clock[keep])
 
 
-def _as_recorded(path: PoseTrajectory, recording: Recording) -> PoseTrajectory:
-    return PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
+def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> dict[str, PoseTrajectory]:
+    """Give the paths that there are the stamps as recorded, in the order of all tables."""
+    return {
+        name: PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
+        for name, path in ((name, paths[name]) for name in ("fused", "wheels", "lidar"))
+        if name == "fused" or len(path) > 1
+    }
 
 
 def _remarks(breaks: int, matches: Sequence[ScanMatch], state: fusion.FusionState) -> list[str]:

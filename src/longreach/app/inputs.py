@@ -57,6 +57,10 @@ def open_run(
     is_file = truth is not None and Path(truth).exists()
     if fixes is not None and not fixes.is_file():
         raise ConfigError(f"{fixes} is not there.")
+    if not 0 < fix_sigma < np.inf:
+        raise ConfigError(f"--fix-sigma is {fix_sigma:g}; a standard deviation is finite and larger than 0 m.")
+    if not 0 <= fix_period < np.inf:
+        raise ConfigError(f"--fix-period is {fix_period:g}; a period is finite and not less than 0 s.")
     tell = progress or (lambda stage, fraction: None)
     read = read_recording(
         recording,
@@ -71,8 +75,6 @@ def open_run(
 
 
 def _fixes(path: PoseTrajectory, sigma: float, period: float) -> tuple[PoseMeasurement, ...]:
-    if not sigma > 0:
-        raise ConfigError(f"--fix-sigma is {sigma:g}; a standard deviation is larger than 0 m.")
     covariance = np.diag([sigma**2, sigma**2, np.inf])
     taken: list[PoseMeasurement] = []
     last = -np.inf

@@ -1,1 +1,1 @@
-
+"""How far the base went, from one reading of a sensor to the next."""
