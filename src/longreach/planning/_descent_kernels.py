@@ -140,16 +140,21 @@ def _step(joints, room, damping, q):
 
 
 @kernel
-def descend(joints, room, target, most, q):
-    """Move q (n,), inside its limits, towards the target; return iterations and the error's lengths [m], [rad]."""
-    mark, since, used = np.inf, 0, 0
+def descend(joints, room, target, most, part, q):
+    """Move q (n,), inside its limits, towards the target; return iterations and the error's lengths [m], [rad].
+
+    It ends at the target, after `most` iterations, where it makes no way, or where only a `part` of the error is left.
+    """
+    mark, since, used, enough = np.inf, 0, 0, -1.0
     while True:
         forward_jacobian(joints.fixed, joints.prismatic, q, room.T, room.J)
         position, orientation = gap(target, room.T, room.R, room.e)
         error = position * position + orientation * orientation
         if error < 0.25 * mark:
             mark, since = error, 0
-        done = position < _ENOUGH and orientation < _ENOUGH
+        if used == 0:
+            enough = part * part * error
+        done = (position < _ENOUGH and orientation < _ENOUGH) or error < enough
         if done or used == most or since == _PATIENCE:
             return used, position, orientation
         _step(joints, room, _DAMPING * error + _FLOOR, q)

@@ -12,6 +12,7 @@ from longreach.robot._kinematics_kernels import forward_jacobian
 
 # Iterations; plain numbers would make numba compile a descent for each.
 _APPROACH = np.int64(5)  # that bring the base near, before the closed form places the arm
+_NEAR = 1e-2  # part of the error that the approach may leave
 _DESCENT = np.int64(60)  # from a start
 _POLISH = np.int64(8)  # from a closed form to what it leaves out, a calibration's deviations
 _SETTLING = np.int64(200)  # on the nearest of all, where none arrives
@@ -125,7 +126,7 @@ def _nearest_posture(joints, arm, room, postures, target, near, q, trial):
         postures.cost[row] = np.inf
         put(q, trial)
         put(postures.Q[row], trial[first:])
-        more, position, orientation = descend(joints, room, target, _POLISH, trial)
+        more, position, orientation = descend(joints, room, target, _POLISH, 0.0, trial)
         used += more
         if reached(position, orientation):
             return used, position, orientation
@@ -169,8 +170,8 @@ def solve(fixed, prismatic, span, ends, shape, target, q0, q):
     has_arm = len(arm.ends) > 0
     used, position, orientation = 0, np.inf, np.inf
     if not has_arm or joints.fixed.shape[0] > 7:
-        most = _APPROACH if has_arm else _DESCENT
-        used, position, orientation = descend(joints, room, target, most, q)
+        most, part = (_APPROACH, _NEAR) if has_arm else (_DESCENT, 0.0)
+        used, position, orientation = descend(joints, room, target, most, part, q)
     if has_arm:
         more, p, o = _with_arm(joints, arm, room, target, q0, start, q, trial)
         used += more
@@ -211,7 +212,7 @@ def _from_fresh_starts(joints, room, target, used, start, q, trial):
         if number > 0:
             reach = 1.0 + abs(target[0, 3]) + abs(target[1, 3]) + abs(target[2, 3])
             _draw(joints, joints.fixed.shape[0] - 1, number, start, reach, trial)
-        more, p, o = descend(joints, room, target, _DESCENT, trial)
+        more, p, o = descend(joints, room, target, _DESCENT, 0.0, trial)
         used += more
         if p * p + o * o < best:
             best = p * p + o * o
@@ -233,7 +234,7 @@ def all_postures(fixed, prismatic, span, ends, shape, target, near, Q):
         if postures.miss[row] > _SLACK:
             continue
         put(postures.Q[row], Q[count])
-        _, position, orientation = descend(joints, room, target, _POLISH, Q[count])
+        _, position, orientation = descend(joints, room, target, _POLISH, 0.0, Q[count])
         if reached(position, orientation) and _is_new(Q, count):
             count += 1
     return count
