@@ -68,8 +68,8 @@ def main() -> None:
         relations = read_relations(Path(data) / name / f"{name}.relations")
         s = summary(relation_errors(path(recording, matches), *relations), longest_span=5.0)
         print(
-            f"{name}: mean {s.translation_mean:.4f} m / {np.degrees(s.rotation_mean):.3f}°, "
-            f"median {s.translation_median:.4f} m / {np.degrees(s.rotation_median):.3f}°, {each:.3f} ms a scan"
+            f"{name}: mean {s.translation.mean:.4f} m / {np.degrees(s.rotation.mean):.3f}°, "
+            f"median {s.translation.median:.4f} m / {np.degrees(s.rotation.median):.3f}°, {each:.3f} ms a scan"
         )
 
 

@@ -1,4 +1,4 @@
-"""Compiled extended Kalman filter: Singer motion, gated correction in Joseph form, cloning of poses.
+"""Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
 Layout of the mean (10 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, then m anchors x y θ. P has the
 same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth). Measurements have 1 to 3 rows, so the small
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_right_jacobian
+from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
 BODY = 10  # error states before the anchors
@@ -274,34 +274,3 @@ def correct(mean, P, r, H, R, gate, inflate):
     if not _is_finite(moved, new):
         return mean.copy(), P.copy(), np.inf, 0.0
     return moved, new, nis, scale
-
-
-@kernel
-def carry(mean, P, anchor, pose, Q):
-    """Move the anchor of that number by a pose (3,) seen from it, whose error has covariance Q (3, 3)."""
-    i, n = BODY + 3 * anchor, len(mean)
-    moved, T, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
-    moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], pose[0], pose[1], pose[2])
-    x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
-    se2_adjoint(x, y, t, A)
-    for a in range(n):
-        T[a, a] = 1.0
-    T[i : i + 3, i : i + 3] = A
-    new = congruence(T, P)
-    new[i : i + 3, i : i + 3] += Q
-    return moved, new
-
-
-@kernel
-def clone(mean, P, anchor):
-    """Make the anchor of that number (the next one: a new anchor) a copy of the pose, correlations and all."""
-    i = BODY + 3 * anchor
-    n = max(len(mean), i + 3)
-    source = np.arange(n)
-    source[i : i + 3] = np.arange(3)
-    new, covariance = np.empty(n), np.empty((n, n))
-    for a in range(n):
-        new[a] = mean[source[a]]
-        for b in range(n):
-            covariance[a, b] = P[source[a], source[b]]
-    return new, covariance

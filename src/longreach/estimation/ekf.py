@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _kernels
+from longreach.estimation import _anchor_kernels, _kernels
 from longreach.estimation.motion import MotionModel
 
 Mean = Float[np.ndarray, " n"]
@@ -72,11 +72,11 @@ def correct(
 
 def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
     """Remember the pose as the anchor of that number, in place of what it held; the next free number adds one."""
-    return _read_only(*_kernels.clone(mean, P, anchor))
+    return _read_only(*_anchor_kernels.clone(mean, P, anchor))
 
 
 def carry(
     mean: Mean, P: Covariance, anchor: int, pose: Float[np.ndarray, "3"], Q: Float[np.ndarray, "3 3"]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q)."""
-    return _read_only(*_kernels.carry(mean, P, anchor, pose, Q))
+    return _read_only(*_anchor_kernels.carry(mean, P, anchor, pose, Q))
