@@ -60,7 +60,9 @@ def test_the_truth_is_a_file_or_else_a_topic(bag, positions):
     run = open_run(bag, "thing", truth=str(positions))
     assert len(run.truth) == 21
     assert open_run(bag, "thing", truth="/truth").recording.truth is not None
-    with pytest.raises(RecordingError, match=r"nowhere\.tum.*/front/scan"):
+    with pytest.raises(RecordingError, match=r"has no topic /nowhere for truth; it has .*/front/scan"):
+        open_run(bag, "thing", truth="/nowhere")
+    with pytest.raises(ConfigError, match=r"nowhere\.tum is not there; the truth is a file or a topic"):
         open_run(bag, "thing", truth="nowhere.tum")
 
 

@@ -93,7 +93,7 @@ def evaluate_files(estimate: Path, truth: Path | None, relations: Path | None, p
 
 def _read_estimate(path: Path) -> dict[str, PoseTrajectory]:
     if not path.is_dir():
-        return {path.stem: read_poses(path)}
+        return {"estimate" if path.stem == "truth" else path.stem: read_poses(path)}
     found = {file.stem: read_tum(file) for file in sorted(path.glob("*.tum")) if not file.stem.startswith("tool")}
     if not set(found) - {"truth"}:
         raise LongreachError(f"{path} holds no trajectories (*.tum).")

@@ -55,6 +55,8 @@ def open_run(
         settings = validated(EstimateConfig, settings.model_dump(exclude_unset=True) | {"sources": names}, "--sources")
     compared = Relations(*read_relations(relations)) if relations is not None else None
     is_file = truth is not None and Path(truth).exists()
+    if truth is not None and not is_file and "." in truth:  # no topic has a dot in its name
+        raise ConfigError(f"{truth} is not there; the truth is a file or a topic of the recording.")
     if fixes is not None and not fixes.is_file():
         raise ConfigError(f"{fixes} is not there.")
     if not 0 < fix_sigma < np.inf:

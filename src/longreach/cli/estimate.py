@@ -27,7 +27,6 @@ def command(
     from longreach.app.warmup import warm_up
 
     with shown_progress() as progress:
-        warm_up(progress)
         run = open_run(
             recording,
             robot,
@@ -40,6 +39,7 @@ def command(
             fix_period=fix_period,
             progress=progress,
         )
+        warm_up(progress)  # after what can be wrong with the files
         result = estimate(
             run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress
         )

@@ -58,4 +58,5 @@ for _module in (info, estimate, evaluate, warmup, demo):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; --verbose may stand anywhere."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    app([a for a in given if a == "--verbose"][:1] + [a for a in given if a != "--verbose"])
+    first = [a for a in given if a == "--verbose"][:1]
+    app(first + [a for a in given if a != "--verbose"], prog_name="longreach")

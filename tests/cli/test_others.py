@@ -1,0 +1,119 @@
+"""longreach info, evaluate, warmup and demo."""
+
+import json
+
+import numpy as np
+import pytest
+
+from longreach.io.tum import write_tum
+from longreach.trajectory import PoseTrajectory
+
+
+@pytest.mark.parametrize(("name", "format"), [("run.bag", "ROS 1 bag"), ("run.mcap", "MCAP"), ("run", "ROS 2 bag")])
+def test_info_lists_topics_rates_and_duration(run, bags, name, format):
+    answer = run("info", bags / name)
+    assert answer.code == 0, answer.err
+    assert answer.err == ""
+    assert f"{name}: {format}, 1.0 s from 0.000000" in answer.out
+    row = next(line.split() for line in answer.out.splitlines() if line.startswith("/joint_states"))
+    assert row[1:] == ["sensor_msgs/msg/JointState", "51", "50.0", "0.020", "0"]
+
+
+def test_info_tells_of_a_log(run, tmp_path):
+    ranges = " ".join(["2.0"] * 30)
+    lines = [f"FLASER 30 {ranges} 0 0 0 0 0 0 {stamp} nohost 0" for stamp in (5.0, 5.2, 5.1)]
+    (tmp_path / "a.log").write_text("\n".join(["PARAM a b c", *lines]))
+    answer = run("info", tmp_path / "a.log")
+    assert answer.code == 0
+    assert "a.log: CARMEN log, 0.2 s from 5.000000" in answer.out
+    row = next(line.split() for line in answer.out.splitlines() if line.startswith("FLASER"))
+    assert (row[-4], row[-1]) == ("3", "1")
+    assert "note: Scans have 30 beams." in answer.out
+    assert "note: 1 PARAM lines are not used." in answer.out
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("nowhere.bag", None, "There is no recording at"),
+        ("a.bag", b"#ROSBAG V2.0\nnonsense", "cannot be read as a ROS bag, it is damaged or cut short"),
+        ("a.log", b"", "is empty; record or copy it again."),
+        ("a.txt", b"x", "is of no known format"),
+    ],
+)
+def test_info_refuses_in_one_sentence(run, tmp_path, name, content, sentence):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    answer = run("info", tmp_path / name)
+    assert (answer.code, answer.out) == (2, "")
+    assert sentence in answer.sentence
+
+
+@pytest.fixture(scope="module")
+def truth():
+    stamps = np.linspace(0.0, 5.0, 101)
+    return PoseTrajectory(stamps, np.column_stack([stamps, np.sin(stamps), np.arctan(np.cos(stamps))]))
+
+
+def test_evaluate_compares_a_file_with_a_file(run, tmp_path, truth):
+    write_tum(tmp_path / "truth.tum", truth)
+    write_tum(tmp_path / "mine.tum", PoseTrajectory(truth.stamps, truth.poses + np.array([3.0, 4.0, 0.0])))
+    (tmp_path / "a.relations").write_text("0 2 2.0 0.9 0 0 0 -1.0\n")
+    answer = run(
+        *("evaluate", tmp_path / "mine.tum", "--truth", tmp_path / "truth.tum"),
+        *("--relations", tmp_path / "a.relations", "--out", tmp_path / "out"),
+    )
+    assert answer.code == 0, answer.err
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["mine"]["ate_rmse"]["value"] == pytest.approx(0.0, abs=1e-6)
+    assert metrics["mine"]["relations_5s_used"]["value"] == 1
+    assert {"metrics.json", "report.html", "config.yaml", "figures"} == {p.name for p in (tmp_path / "out").iterdir()}
+    assert "mine" in answer.out
+
+
+def test_evaluate_takes_the_folder_of_an_estimate(run, bags, tmp_path):
+    assert run("estimate", bags / "run.mcap", "--robot", "thing", "--out", tmp_path / "run").code == 0
+    answer = run("evaluate", tmp_path / "run", "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert list(json.loads((tmp_path / "out" / "metrics.json").read_text())) == ["fused", "wheels", "lidar"]
+
+
+def test_evaluate_refuses_in_one_sentence(run, tmp_path, truth):
+    write_tum(tmp_path / "truth.tum", truth)
+    write_tum(tmp_path / "late.tum", PoseTrajectory(truth.stamps + 100.0, truth.poses))
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bad.tum").write_text("0 1 2 3 0 0 0 0\n")
+    before = sorted(tmp_path.rglob("*"))
+    for arguments, sentence in (
+        (["nowhere.tum", "--truth", tmp_path / "truth.tum"], "nowhere.tum is not there."),
+        ([tmp_path / "truth.tum", "--truth", "nowhere.tum"], "nowhere.tum is not there."),
+        ([tmp_path / "truth.tum"], "; give --truth or --relations."),
+        ([tmp_path / "empty"], "holds no trajectories (*.tum)."),
+        ([tmp_path / "bad.tum", "--truth", tmp_path / "truth.tum"], "bad.tum, line 1: the quaternion is zero."),
+        ([tmp_path / "late.tum", "--truth", tmp_path / "truth.tum"], "have no time in common; give both on one clock."),
+    ):
+        answer = run("evaluate", *arguments, "--out", tmp_path / "out")
+        assert (answer.code, answer.out) == (2, "")
+        assert sentence in answer.sentence
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_warmup_says_where_the_kernels_are(run):
+    answer = run("warmup")
+    assert answer.code == 0, answer.err
+    assert answer.out.startswith("All kernels are compiled (")
+
+
+def test_the_demo_estimates_what_it_made(run, tmp_path):
+    answer = run("demo", "--out", tmp_path / "demo", "--duration", 1, "--seed", 3)
+    assert answer.code == 0, answer.err
+    assert {"recording.mcap", "fused.tum", "report.html"} <= {path.name for path in (tmp_path / "demo").iterdir()}
+    assert "simulation …" in answer.err
+    assert "fused" in answer.out
+
+
+def test_a_demo_too_short_to_drive_is_wrong_usage(run, tmp_path):
+    answer = run("demo", "--out", tmp_path / "demo", "--duration", 0.5)
+    assert answer.code == 2
+    assert "--duration" in answer.err
+    assert not list(tmp_path.iterdir())
