@@ -17,6 +17,7 @@ from longreach.robot._kinematics_kernels import forward_jacobian
 
 _POOR, _GOOD = 0.5, 0.25  # part of what was promised that is missed
 SHARE_BELOW = 0.6  # part of a joint's limit of speed that levels below the first may use
+_LAST = 3  # iterations at the end of many that are the first level's alone
 _ROUNDING = 1e-9  # [m, rad], an error too small to learn from
 _SURPRISE = 0.25  # part of an error up to which what the last waypoint's step missed is expected to be missed again
 
@@ -163,14 +164,19 @@ def expect(e, starts, missed, expected):
 
 
 @kernel
-def room(q, last, speed, longest, low, high):
+def room(iteration, iterations, q, last, speed, longest, low, high):
     """low, high (2, n): how far one iteration may move a joint, so that in all |q - last| <= speed.
 
-    Row 1 is for the levels below the first, which needs the rest to mend what they bend.
+    Row 1 is for the levels below the first, which needs the rest to mend what they bend. They stand still in the last
+    few of many iterations, so that what they bent is mended even where they have not come to rest.
     """
+    still = iterations > 2 * _LAST and iteration >= iterations - _LAST
     for k in range(len(q)):
         for row in range(2):
             part = SHARE_BELOW if row else 1.0
+            if row == 1 and still:
+                low[row, k] = high[row, k] = 0.0
+                continue
             low[row, k] = max(-longest[k], min(last[k] - part * speed[k] - q[k], 0.0))
             high[row, k] = min(longest[k], max(last[k] + part * speed[k] - q[k], 0.0))
 
@@ -218,7 +224,7 @@ def follow(
             jacobians(kinds, targets[k], q, T, J, e, A)
             if iteration == 0:
                 expect(e, starts, missed, expected)
-            room(q, last, speeds[k], farthest, low, high)
+            room(iteration, iterations, q, last, speeds[k], farthest, low, high)
             advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
             for j in range(n):
                 q[j] += dq[j]

@@ -88,6 +88,8 @@ def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest,
         if scheme == SICILIANO_SLOTINE:  # (4.16), any number of levels
             new = factor(A, rows, m, tolerance, V, rank, L)
             level_step(L, m, V, rank, new, inverse, b, (M, y), x)
+            if setting[level, 3] > 0.0:
+                _project(V, rank, x)  # the filter moves along directions that B̃ has lost, whatever they are
         else:  # (4.17)
             new = factor(A, rows, m, tolerance, W, 0, L)
             level_step(L, m, W, 0, new, inverse, b, (M, y), x)

@@ -22,7 +22,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 def plan(
     robot: MobileManipulator,
     reference: Reference,
-    q0: Float[np.ndarray, " n"],
+    q0: Float[np.ndarray, " _"],
     method: str = "task-priority",
     iterations: int = 20,
     **options: Any,
@@ -47,7 +47,7 @@ def plan(
 def plan_by_task_priority(
     robot: MobileManipulator,
     reference: Reference,
-    q0: Float[np.ndarray, " n"],
+    q0: Float[np.ndarray, " _"],
     iterations: int = 20,
     above: Levels = (),
     below: Levels = (),
@@ -134,13 +134,14 @@ def _compiled(
 
 
 def _report(name: str, sizes: np.ndarray, met: float, why_at: Callable[[int], str]) -> TaskReport:
-    size = np.hypot(*sizes)
+    linear, angular = sizes
+    size = np.hypot(linear, angular)
     worst = int(np.argmax(size))
     if size[worst] <= met:
-        return TaskReport(name, *sizes, np.zeros(len(size), dtype=bool), f"The {name} is met everywhere.")
+        return TaskReport(name, linear, angular, np.zeros(len(size), dtype=bool), f"The {name} is met everywhere.")
     unmet = size > met
     reason = f"At waypoint {worst}, the worst of {int(unmet.sum())}: {why_at(worst)}"
-    return TaskReport(name, *sizes, unmet, reason)
+    return TaskReport(name, linear, angular, unmet, reason)
 
 
 _METHODS: dict[str, Callable[..., ConfigurationTrajectory]] = {"task-priority": plan_by_task_priority}

@@ -8,7 +8,7 @@ it: the -λ lives in the solver.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -98,11 +98,6 @@ def levels_of(tasks: Levels) -> list[list[Task]]:
     if doubled:
         raise PlanningError(f"Two tasks are called {min(doubled)!r}; give them names of their own.")
     return levels
-
-
-def named(name: str) -> str:
-    """Return a dataclass field for a task's name with this default."""
-    return field(default=name, kw_only=True)
 
 
 def target_array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:

@@ -12,36 +12,29 @@ singularity-robust multiple task-priority inverse kinematics framework".
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from longreach.errors import PlanningError
 from longreach.planning import _follow_kernels as kernels
-from longreach.planning._priority_kernels import CHIAVERINI, SICILIANO_SLOTINE
-from longreach.planning._pseudoinverse_kernels import DAMPED, SELECTIVE, UNDAMPED
 from longreach.planning.explanation import why
+from longreach.planning.hierarchy import SCHEMES, Scheme, level_settings
 from longreach.planning.pseudoinverse import Inverse
 from longreach.planning.solution import Solution
 from longreach.planning.stack import Stack
 from longreach.planning.task import Levels
 from longreach.robot.mobile_manipulator import MobileManipulator
 
-_SCHEMES = {"siciliano-slotine": SICILIANO_SLOTINE, "chiaverini": CHIAVERINI}
-_METHODS = {"undamped": UNDAMPED, "damped": DAMPED, "selective": SELECTIVE}
-Free = Float[np.ndarray, " n"] | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]] | None
+Free = Float[np.ndarray, " _"] | Callable[[Float[np.ndarray, " _"]], Float[np.ndarray, " _"]] | None
 
 
-class TaskPriorityConfig(BaseModel):
+class TaskPriorityConfig(BaseModel, frozen=True, extra="forbid"):
     """Settings of task priority."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    scheme: Literal["siciliano-slotine", "chiaverini"] = Field(
-        default="siciliano-slotine", description="(4.16) for any number of levels, or (4.17)."
-    )
+    scheme: Scheme = Field(default="siciliano-slotine", description="(4.16) for any number of levels, or (4.17).")
     inverses: tuple[Inverse, ...] = Field(
         default=(Inverse(method="damped"),),
         min_length=1,
@@ -69,28 +62,21 @@ class TaskPriorityConfig(BaseModel):
 
 @lru_cache(maxsize=64)
 def _inverses(config: TaskPriorityConfig, stack: Stack) -> tuple[np.ndarray, ...]:
-    """Return each level's method, rank tolerance and filter (levels, 5), dampings, and bounds where selective."""
+    """Return each level's settings (levels, 5), dampings, and bounds where selective."""
     levels, n = len(stack.starts) - 1, len(config.inverses)
     chosen = [config.inverses[min(i, n - 1)] for i in range(levels)]
     if stack.ranged[0]:  # the level of the limits is not one that the caller counts
         chosen = [chosen[0], *chosen[:-1]]
-    filters = [(0.0, 0.0) if c.filter is None else (c.filter.sigma0, c.filter.v) for c in chosen]
-    setting = np.array([[_METHODS[c.method], 0.0, c.rank_tolerance, *f] for c, f in zip(chosen, filters, strict=True)])
-    widest = int(np.max(np.diff(stack.starts)))
-    return (
-        setting,
-        np.array([c.damping for c in chosen]),
-        np.array([c.error_damping for c in chosen]),
-        np.array([c.max_step(stack.robot.prismatic) for c in chosen]),
-        np.array([c.max_error(widest) for c in chosen]),
-    )
+    setting, reach, longest = level_settings(chosen, stack.robot.prismatic, int(np.max(np.diff(stack.starts))))
+    by_error = np.array([c.error_damping for c in chosen])
+    return setting, setting[:, 1].copy(), by_error, reach, longest
 
 
 def settings(config: TaskPriorityConfig, stack: Stack, z: np.ndarray) -> tuple[Any, ...]:
     """Return what the kernels call `problem`."""
     setting, damping, by_error, reach, longest = _inverses(config, stack)
     return (
-        stack.starts, stack.ranged, stack.gains, stack.lower, stack.upper, _SCHEMES[config.scheme], setting.copy(),
+        stack.starts, stack.ranged, stack.gains, stack.lower, stack.upper, SCHEMES[config.scheme], setting.copy(),
         damping, by_error, config.learned_damping, reach, longest, np.array(z, dtype=float),
     )  # fmt: skip
 
@@ -120,7 +106,7 @@ def _iterate(
             kernels.expect(e, stack.starts, missed, expected)
         if callable(free):
             problem[-1][:] = free(q)
-        kernels.room(q, last, speed, longest, low, high)
+        kernels.room(iteration, iterations, q, last, speed, longest, low, high)
         kernels.advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
         q += dq
     raise AssertionError("the last iteration returns")
@@ -141,7 +127,7 @@ def checked_start(robot: MobileManipulator, q0: Float[np.ndarray, " _"]) -> Floa
 def solve_priority(
     robot: MobileManipulator,
     tasks: Levels,
-    q0: Float[np.ndarray, " n"],
+    q0: Float[np.ndarray, " _"],
     config: TaskPriorityConfig | None = None,
     free: Free = None,
 ) -> Solution:
@@ -180,7 +166,7 @@ def follow(
     robot: MobileManipulator,
     waypoints: Sequence[Levels],
     speeds: Float[np.ndarray, "k n"],
-    q0: Float[np.ndarray, " n"],
+    q0: Float[np.ndarray, " _"],
     config: TaskPriorityConfig,
     free: Free = None,
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "2 tasks k"], Int[np.ndarray, " k"]]:

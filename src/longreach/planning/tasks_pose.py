@@ -1,6 +1,6 @@
 """Tasks of where the tool and the base are, and of the posture of all joints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from longreach.errors import PlanningError
 from longreach.planning import _stack_kernels as kernels
-from longreach.planning.task import Jacobian, Task, Value, named, target_array
+from longreach.planning.task import Jacobian, Task, Value, target_array
 from longreach.reference import check_rigid
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -38,8 +38,7 @@ class _Common(Task):
 class _ToolTask(_Common):
     """Of a frame's pose; the tool's where no frame is named."""
 
-    target: Float[np.ndarray, "..."]
-    frame: str | None = None
+    frame: str | None = field(default=None, kw_only=True)
 
     def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
         at = robot.forward_and_jacobian(q) if self.frame is None else robot.frame_and_jacobian(self.frame, q)
@@ -51,7 +50,7 @@ class ToolPose(_ToolTask):
     """e = log(T_target⁻¹ T) (6,) [m, rad] (4.28); target: T_world_tool (4, 4)."""
 
     target: Float[np.ndarray, "4 4"]
-    name: str = named("tool pose")
+    name: str = field(default="tool pose", kw_only=True)
     kind: ClassVar[int] = kernels.TOOL_POSE
 
     def __post_init__(self) -> None:
@@ -71,7 +70,7 @@ class ToolPosition(_ToolTask):
     """e = p - p_target (3,) [m] in the world, (3.17) with its sign turned; target (3,)."""
 
     target: Float[np.ndarray, "3"]
-    name: str = named("tool position")
+    name: str = field(default="tool position", kw_only=True)
     kind: ClassVar[int] = kernels.TOOL_POSITION
 
     def __post_init__(self) -> None:
@@ -92,7 +91,7 @@ class ToolOrientation(_ToolTask):
     """e = log(R_targetᵀ R) (3,) [rad]; target: R_world_tool (3, 3)."""
 
     target: Float[np.ndarray, "3 3"]
-    name: str = named("tool orientation")
+    name: str = field(default="tool orientation", kw_only=True)
     kind: ClassVar[int] = kernels.TOOL_ORIENTATION
 
     def __post_init__(self) -> None:
@@ -111,8 +110,6 @@ class ToolOrientation(_ToolTask):
 
 @dataclass(frozen=True, eq=False)
 class _BaseTask(_Common):
-    target: Float[np.ndarray, "..."]
-
     def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
         if robot.base.stop == 0:
             raise PlanningError(f"{robot.name} is bolted down and has no base that {self.name} could move.")
@@ -124,7 +121,7 @@ class BasePose(_BaseTask):
     """e = log(target⁻¹ base) in SE(2) (3,) [m, m, rad]; target: [x, y, θ]."""
 
     target: Float[np.ndarray, "3"]
-    name: str = named("base pose")
+    name: str = field(default="base pose", kw_only=True)
     kind: ClassVar[int] = kernels.BASE_POSE
 
     def __post_init__(self) -> None:
@@ -143,7 +140,7 @@ class BasePosition(_BaseTask):
     """e = [x, y] - target (2,) [m]."""
 
     target: Float[np.ndarray, "2"]
-    name: str = named("base position")
+    name: str = field(default="base position", kw_only=True)
     kind: ClassVar[int] = kernels.BASE_POSITION
 
     def __post_init__(self) -> None:
@@ -162,7 +159,7 @@ class BaseHeading(_BaseTask):
     """e = θ - target (1,) [rad], the short way round."""
 
     target: float
-    name: str = named("base heading")
+    name: str = field(default="base heading", kw_only=True)
     kind: ClassVar[int] = kernels.BASE_HEADING
 
     def __post_init__(self) -> None:
@@ -181,7 +178,7 @@ class Posture(_Common):
     """e = q - target (n,) [rad, or m where prismatic]; `weights` of 0 leave joints free."""
 
     target: Float[np.ndarray, " n"]
-    name: str = named("posture")
+    name: str = field(default="posture", kw_only=True)
     kind: ClassVar[int] = kernels.POSTURE
 
     def __post_init__(self) -> None:

@@ -1,6 +1,6 @@
 """Ranges that a configuration shall keep to, and tasks that look and that keep the arm nimble."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from longreach.errors import PlanningError
 from longreach.planning import _stack_kernels as kernels
 from longreach.planning.obstacles import LinkCapsule, Obstacle, base_distance, segment_distance
-from longreach.planning.task import Jacobian, Task, Value, named, target_array
+from longreach.planning.task import Jacobian, Task, Value, target_array
 from longreach.robot.manipulability import Measure, Part, manipulability
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -18,7 +18,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 class WithinLimits(Task):
     """q (n,) between the robot's limits; where it starts outside, it comes back."""
 
-    name: str = named("joint limits")
+    name: str = field(default="joint limits", kw_only=True)
     ranged: ClassVar[bool] = True
     kind: ClassVar[int] = kernels.POSTURE
 
@@ -45,7 +45,7 @@ class BaseClearance(Task):
     obstacles: tuple[Obstacle, ...]
     radius: float
     margin: float = 0.0
-    name: str = named("base clearance")
+    name: str = field(default="base clearance", kw_only=True)
     ranged: ClassVar[bool] = True
 
     def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
@@ -70,7 +70,7 @@ class ArmClearance(Task):
     obstacles: tuple[Obstacle, ...]
     capsules: tuple[LinkCapsule, ...]
     margin: float = 0.0
-    name: str = named("arm clearance")
+    name: str = field(default="arm clearance", kw_only=True)
     ranged: ClassVar[bool] = True
 
     def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
@@ -111,7 +111,7 @@ class LookAt(Task):
 
     target: Float[np.ndarray, "3"]
     frame: str | None = None
-    name: str = named("look at")
+    name: str = field(default="look at", kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,7 +144,7 @@ class FieldOfView(Task):
     target: Float[np.ndarray, "3"]
     half_angle: float
     frame: str | None = None
-    name: str = named("field of view")
+    name: str = field(default="field of view", kw_only=True)
     ranged: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -179,7 +179,7 @@ class Manipulability(Task):
     least: float = 0.0
     measure: Measure = "log_m"
     part: Part = "full"
-    name: str = named("manipulability")
+    name: str = field(default="manipulability", kw_only=True)
 
     def value_and_jacobian(self, robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> tuple[Value, Jacobian]:
         value, gradient = manipulability(robot, np.asarray(q, dtype=float), self.measure, self.part)
