@@ -4,7 +4,6 @@ Everything is made in a temporary folder first and then put in its place: a run 
 nothing half-written.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,14 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from longreach.app.estimate import Estimate, Progress, sensor_mount
-from longreach.app.evaluate import Evaluation, Metrics, innovations
-from longreach.evaluation import figures, scan_map, style
+from longreach.app.evaluate import Evaluation, innovations
+from longreach.app.results import write_results
+from longreach.evaluation import figures, scan_map
 from longreach.evaluation.alignment import align_pairs, associate, moved
 from longreach.evaluation.consistency import pose_errors
 from longreach.evaluation.metrics import mse_over_time
 from longreach.evaluation.relations import RelationErrors
-from longreach.evaluation.report import report_html
-from longreach.evaluation.tables import main_metrics, metric_table
 from longreach.io.config import to_yaml
 from longreach.io.tum import write_tum
 from longreach.io.whole_files import whole_folder
@@ -39,11 +37,10 @@ def write_estimate(estimate: Estimate, out: str | Path, progress: Progress | Non
             write_tum(folder / f"{name}.tum", trajectory)
         _write_covariances(folder / "covariance.npz", e.trajectories)
         _write_matches(folder / "lidar_matches.npz", estimate)
-        (folder / "config.yaml").write_text(config, encoding="utf-8")
         (folder / "robot.yaml").write_text(to_yaml(estimate.robot), encoding="utf-8")
         drawn = _comparison_figures(e) | _estimate_figures(estimate)
         title = f"Estimate of {estimate.recording.name}"
-        _write_results(folder, title, _introduction(estimate), e, drawn, config, tell)
+        write_results(folder, title, _introduction(estimate), e.metrics, drawn, config, tell, e.remarks)
 
 
 def _introduction(estimate: Estimate) -> str:
@@ -57,42 +54,9 @@ def write_evaluation(evaluation: Evaluation, out: Path, progress: Progress | Non
     """Write metrics, figures and a page of trajectories that were held against a reference."""
     tell = progress or (lambda stage, fraction: None)
     with whole_folder(out) as folder:
-        config = to_yaml(evaluation.config)
-        (folder / "config.yaml").write_text(config, encoding="utf-8")
-        introduction = f"Trajectories: {', '.join(evaluation.trajectories)}."
-        _write_results(folder, "Evaluation", introduction, evaluation, _comparison_figures(evaluation), config, tell)
-
-
-def _write_results(
-    folder: Path,
-    title: str,
-    introduction: str,
-    evaluation: Evaluation,
-    drawn: Mapping[str, Callable[[], Figure]],
-    config: str,
-    tell: Progress,
-) -> None:
-    (folder / "metrics.json").write_text(_json(evaluation.metrics), encoding="utf-8")
-    (folder / "figures").mkdir()
-    pictures = {}
-    for i, (name, draw) in enumerate(drawn.items()):
-        tell("figures", i / len(drawn))
-        pictures[name] = style.png(draw())
-        (folder / "figures" / f"{name}.png").write_bytes(pictures[name])
-    page = report_html(
-        title,
-        introduction,
-        metric_table(main_metrics(evaluation.metrics)),
-        pictures,
-        remarks=evaluation.remarks,
-        config_yaml=config,
-        more=metric_table(evaluation.metrics),
-    )
-    (folder / "report.html").write_text(page, encoding="utf-8")
-
-
-def _json(metrics: Metrics) -> str:
-    return json.dumps(metrics, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        introduction, config = f"Trajectories: {', '.join(evaluation.trajectories)}.", to_yaml(evaluation.config)
+        e, drawn = evaluation, _comparison_figures(evaluation)
+        write_results(folder, "Evaluation", introduction, e.metrics, drawn, config, tell, e.remarks)
 
 
 def _write_covariances(path: Path, trajectories: Mapping[str, PoseTrajectory]) -> None:

@@ -3,11 +3,18 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 import longreach
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
 from longreach.io.config import load_description
+from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
+from longreach.planning.inverse_kinematics import all_solutions, solve_ik
+from longreach.planning.planner import plan
+from longreach.planning.reference import dual_trajectory
+from longreach.robot.manipulability import manipulability
 from longreach.sim.kinematic import make_recording
 
 Progress = Callable[[str, float], None]
@@ -19,7 +26,7 @@ def warm_up(progress: Progress | None = None) -> Path:
     mark = cache_root() / f"warm-{_hash_of_all()}"
     if mark.is_file():
         return cache_root()
-    steps = (_estimation,)
+    steps = (_estimation, _kinematics, _planning)
     for i, step in enumerate(steps):
         tell("compiling (first run only)", i / len(steps))
         step()
@@ -38,3 +45,21 @@ def _estimation() -> None:
     thing = load_description("thing")
     recording = make_recording(thing, duration=1.0, lidar_rate=10.0, beams=90)
     estimate(recording, thing, EstimateConfig())
+
+
+def _kinematics() -> None:
+    thing = load_robot("thing")
+    q = thing.home
+    thing.forward(q)
+    thing.forward(np.stack([q, q]))
+    thing.forward_and_jacobian(q)
+    thing.forward_and_jacobian_batch(np.stack([q, q]))
+    thing.hessian(q)
+    manipulability(thing, q)
+    solve_ik(thing, thing.forward(q), q)
+    all_solutions(thing, thing.forward(q))
+
+
+def _planning() -> None:
+    thing = load_robot("thing")
+    plan(thing, dual_trajectory(thing.forward(thing.home), waypoints=3), thing.home)

@@ -159,6 +159,10 @@ class Arm(_Described):
         default=None, description="Hardest acceleration of each joint [rad/s² or m/s²], which a URDF cannot say."
     )
 
+    home: tuple[float, ...] | None = Field(
+        default=None, description="Where the joints are at the start, the arm's [rad or m]; None: at 0."
+    )
+
     @model_validator(mode="after")
     def _one_says_the_chain(self) -> "Arm":
         if (self.urdf is None) == (self.dh is None):

@@ -78,6 +78,15 @@ class MobileManipulator(Kinematics):
         """The upper limits of q [m or rad]."""
         return self.limits.upper
 
+    @property
+    def home(self) -> Float[np.ndarray, " n"]:
+        """The configuration at the start: the base at the origin, the arm as its description says, within limits."""
+        q = np.zeros(self.dof)
+        arm = self.description.arm
+        if arm is not None and arm.home is not None:
+            q[self.arm] = arm.home
+        return np.clip(q, self.lower, self.upper)
+
     def with_tool(self, frame: str) -> "MobileManipulator":
         """Return this robot with another of its frames as the tool.
 
@@ -128,6 +137,11 @@ class MobileManipulator(Kinematics):
         if not description.bolted:
             joints = [*_planar(description, root), *joints]
         chain = KinematicChain.from_joints(joints, root if description.bolted else WORLD, end)
+        moving = len(chain.joint_names) - (0 if description.bolted else 3)
+        if arm is not None and arm.home is not None and len(arm.home) != moving:
+            raise ModelError(
+                f"home has {len(arm.home)} numbers, but the arm of {description.name} has {moving} joints."
+            )
         if arm is not None and arm.accelerations is not None:
             chain = _accelerated(chain, arm.accelerations)
         chain = _with_frames(chain, description, _BASE_LINK if _BASE_LINK in chain.frames else root)

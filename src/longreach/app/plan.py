@@ -1,0 +1,147 @@
+"""Plan a reference and write what came of it: the trajectory, its figures, its numbers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.app.results import write_results
+from longreach.configuration import ConfigurationTrajectory
+from longreach.evaluation import plan_figures
+from longreach.evaluation.tables import Metric, metric
+from longreach.io.config import to_yaml
+from longreach.io.plan_files import write_trajectory_csv, write_trajectory_mcap
+from longreach.io.reference import read_reference
+from longreach.io.tum import write_spatial_tum, write_tum
+from longreach.io.whole_files import whole_folder
+from longreach.planning.planner import plan
+from longreach.planning.reference import dual_trajectory
+from longreach.planning.timing import retime
+from longreach.reference import Reference
+from longreach.robot.manipulability import manipulability
+from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.trajectory import PoseTrajectory
+
+Progress = Callable[[str, float], None]
+DUAL = "dual-trajectory"
+
+
+class PlanConfig(BaseModel):
+    """Settings of one plan."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: str = Field(default="task-priority", description="The planner.")
+    iterations: int = Field(default=20, ge=1, description="At most so many a waypoint [1].")
+    length: float = Field(default=2.0, gt=0, description="Of the dual trajectory's line [m]; the thesis' 2 m.")
+    amplitude: float = Field(default=0.2, ge=0, description="Of its base's sinusoid [m]; the thesis' 0.2 m.")
+    waypoints: int = Field(default=200, ge=2, description="Of the dual trajectory [1].")
+    duration: float = Field(default=20.0, gt=0, description="Of the dual trajectory [s]; 0.1 m/s over 2 m.")
+    retime: bool = Field(default=False, description="Whether to go as fast as the joints' limits allow.")
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan, what it was asked to follow, and what it is worth."""
+
+    robot: MobileManipulator
+    reference: Reference
+    config: PlanConfig
+    trajectory: ConfigurationTrajectory
+    metrics: dict[str, dict[str, Metric]]
+    remarks: tuple[str, ...]
+
+
+def make_plan(
+    robot: MobileManipulator, what: str | Path, config: PlanConfig | None = None, progress: Progress | None = None,
+    **options: Any,
+) -> Planned:  # fmt: skip
+    """Plan `dual-trajectory`, from the robot's home, or the reference in a file, from home or the nearest to it."""
+    config = config or PlanConfig()
+    tell = progress or (lambda stage, fraction: None)
+    q0 = robot.home
+    if str(what) == DUAL:
+        reference = dual_trajectory(
+            robot.forward(q0),
+            q0[:3] if robot.base.stop else None,
+            config.length,
+            config.amplitude,
+            waypoints=config.waypoints,
+            duration=config.duration,
+        )
+    else:
+        reference = read_reference(Path(what))
+    tell("planning", 0.0)
+    trajectory = plan(robot, reference, q0, method=config.method, iterations=config.iterations, **options)
+    metrics = {"plan": _metrics(robot, trajectory)}
+    remarks = tuple(report.reason for report in trajectory.reports)
+    if config.retime:
+        tell("timing", 0.0)
+        trajectory = retime(trajectory, robot.limits.velocity, robot.limits.acceleration)
+        metrics["retimed"] = _metrics(robot, trajectory)
+    return Planned(robot, reference, config, trajectory, metrics, remarks)
+
+
+def _metrics(robot: MobileManipulator, trajectory: ConfigurationTrajectory) -> dict[str, Metric]:
+    found = {"duration": metric(trajectory.duration, "s"), "waypoints": metric(len(trajectory), "")}
+    for report in trajectory.reports:
+        found[f"{report.name}_position_error_max"] = metric(float(report.linear.max()), "m")
+        found[f"{report.name}_position_error_mean"] = metric(float(report.linear.mean()), "m")
+        found[f"{report.name}_angle_error_max"] = metric(float(report.angular.max()), "rad")
+        found[f"{report.name}_unmet"] = metric(int(report.unmet.sum()), "")
+    steps = np.abs(np.diff(trajectory.q, axis=0))
+    share = np.abs(trajectory.velocities) / robot.limits.velocity
+    m, _ = manipulability(robot, trajectory.q)
+    found["joint_step_max"] = metric(float(steps.max(initial=0.0)), "rad or m")
+    found["speed_share_max"] = metric(100 * float(share.max()), "%")
+    found["manipulability_mean"] = metric(float(m.mean()), "m³")
+    found["manipulability_min"] = metric(float(m.min()), "m³")
+    return found
+
+
+def write_plan(planned: Planned, out: Path, progress: Progress | None = None) -> None:
+    """Write trajectory.csv and .mcap, references and planned paths as TUM, figures, metrics and the page."""
+    tell = progress or (lambda stage, fraction: None)
+    robot, reference, trajectory = planned.robot, planned.reference, planned.trajectory
+    tool = robot.forward(trajectory.q)
+    base = trajectory.q[:, robot.base]
+    with whole_folder(out) as folder:
+        write_trajectory_csv(folder / "trajectory.csv", trajectory)
+        write_trajectory_mcap(folder / "trajectory.mcap", trajectory)
+        write_spatial_tum(folder / "tool_plan.tum", trajectory.stamps, tool)
+        if reference.tool is not None:
+            write_spatial_tum(folder / "tool_reference.tum", reference.stamps, reference.tool)
+        if base.shape[1] == 3:
+            write_tum(folder / "base_plan.tum", PoseTrajectory(trajectory.stamps, base))
+        if reference.base is not None:
+            write_tum(folder / "base_reference.tum", PoseTrajectory(reference.stamps, reference.base))
+        config = to_yaml(planned.config)
+        introduction = (
+            f"Robot {robot.name}, tool {robot.tool}, by {planned.config.method}; {len(trajectory)} configurations over "
+            f"{trajectory.duration:.1f} s."
+        )
+        write_results(
+            folder, "Plan", introduction, planned.metrics, _figures(planned, tool, base), config, tell,
+            captions=plan_figures.PLAN_CAPTIONS, remarks=planned.remarks,
+        )  # fmt: skip
+
+
+def _figures(planned: Planned, tool: np.ndarray, base: np.ndarray) -> dict[str, Callable[[], Figure]]:
+    robot, reference, trajectory = planned.robot, planned.reference, planned.trajectory
+    tool_reference = None if reference.tool is None else reference.tool[:, :2, 3]
+    base_reference = None if reference.base is None else reference.base[:, :2]
+    own = base[:, :2] if base.shape[1] == 3 else None
+    m, _ = manipulability(robot, trajectory.q)
+    drawn: dict[str, Callable[[], Figure]] = {
+        "paths": lambda: plan_figures.plan_paths(tool[:, :2, 3], tool_reference, own, base_reference),
+        "joints": lambda: plan_figures.joints(trajectory, robot.prismatic.tolist()),
+        "velocities": lambda: plan_figures.velocities(trajectory, robot.limits.velocity),
+        "manipulability": lambda: plan_figures.manipulability(trajectory.stamps, {"plan": m}),
+    }
+    if trajectory.reports:
+        drawn["task_errors"] = lambda: plan_figures.task_errors(trajectory.stamps, trajectory.reports)
+    return drawn

@@ -1,0 +1,51 @@
+"""longreach plan: a trajectory of base and arm together that follows a reference."""
+
+from pathlib import Path
+
+import typer
+
+from longreach.cli.progress import shown_progress
+from longreach.cli.tables import print_table
+
+
+def command(
+    reference: str = typer.Argument(help="A file (TUM poses of the tool, or CSV), or dual-trajectory."),
+    robot: str = typer.Option(..., help="A shipped robot (thing, ur10, panda_cart, …), a YAML file or a URDF."),
+    out: Path = typer.Option(..., help="Folder for the results; made if it is not there."),
+    method: str = typer.Option("task-priority", help="The planner: task-priority or sqp."),
+    tool: str | None = typer.Option(None, help="The frame to move (default: the robot's own)."),
+    iterations: int = typer.Option(20, help="At most so many for a waypoint."),
+    length: float = typer.Option(2.0, help="Length of the dual trajectory's line, in metres."),
+    amplitude: float = typer.Option(0.2, help="Amplitude of its base's sinusoid, in metres."),
+    waypoints: int = typer.Option(200, help="Waypoints of the dual trajectory."),
+    duration: float = typer.Option(20.0, help="Duration of the dual trajectory, in seconds."),
+    retime: bool = typer.Option(False, help="Go as fast as the joints' limits of speed and acceleration allow."),
+) -> None:
+    """Plan base and arm as one chain along a reference and write the trajectory, figures and a report."""
+    from longreach.app.plan import PlanConfig, make_plan, write_plan
+    from longreach.app.warmup import warm_up
+    from longreach.evaluation.tables import metric_table
+    from longreach.io.config import validated
+    from longreach.io.robots import load_robot
+
+    settings = {
+        "method": method,
+        "iterations": iterations,
+        "length": length,
+        "amplitude": amplitude,
+        "waypoints": waypoints,
+        "duration": duration,
+        "retime": retime,
+    }
+    config = validated(PlanConfig, settings, "the options")
+    model = load_robot(robot)
+    model = model if tool is None else model.with_tool(tool)
+    with shown_progress() as progress:
+        warm_up(progress)
+        planned = make_plan(model, reference, config, progress)
+        write_plan(planned, out, progress)
+    table = metric_table(planned.metrics)
+    print_table(table.header, table.rows)
+    for remark in planned.remarks:
+        typer.echo(f"note: {remark}")
+    typer.echo(f"Everything is in {out}; open {out / 'report.html'}.")
