@@ -1,0 +1,65 @@
+"""The Intel log through the main path: the bars of the relations metric, and fixes that hold it."""
+
+import numpy as np
+import pytest
+
+from longreach.evaluation.relations import summary
+
+
+@pytest.fixture(scope="module")
+def intel(estimated):
+    return estimated("intel/intel.clf.bz2", "intel")
+
+
+def short_relations(result, name):
+    found = summary(result.evaluation.relation_errors[name], 5.0)
+    return found.translation, found.rotation
+
+
+@pytest.mark.parametrize("name", ["fused", "wheels", "lidar"])
+def test_every_path_holds_all_scan_stamps_as_recorded(intel, name):
+    path = intel.trajectories[name]
+    assert len(path) == 13631
+    recorded = intel.recording.as_recorded(np.array([scan.stamp for scan in intel.recording.scans]))
+    np.testing.assert_array_equal(path.stamps, recorded)
+    assert np.count_nonzero(np.diff(path.stamps) <= 0) == 631
+    assert np.all(np.diff(path.clock) > 0)
+
+
+def test_the_repair_of_the_stamps_is_said(intel):
+    assert intel.remarks[0].startswith("631 of 13631 stamps run backwards; the order of the file was kept")
+
+
+def test_the_fused_path_is_no_worse_than_the_better_of_its_inputs(intel):
+    translation, rotation = short_relations(intel, "fused")
+    assert translation.mean <= 0.0220
+    assert np.degrees(rotation.mean) <= 0.262
+
+
+def test_the_lidar_alone_is_at_least_as_good_as_rf2o(intel):
+    translation, rotation = short_relations(intel, "lidar")
+    assert translation.mean <= 0.0256
+    assert translation.median <= 0.0133
+    assert np.degrees(rotation.mean) <= 0.262
+    assert np.degrees(rotation.median) <= 0.195
+
+
+def test_the_wheels_are_as_known(intel):
+    translation, rotation = short_relations(intel, "wheels")
+    assert translation.mean == pytest.approx(0.0220, abs=5e-5)
+    assert np.degrees(rotation.mean) == pytest.approx(1.46, abs=5e-3)
+
+
+def test_hardly_any_measurement_is_refused(intel):
+    status = [c.status for c in intel.corrections]
+    assert status.count("refused") == 0
+    assert len(intel.lidar_measurements) == 13630
+
+
+def test_fixes_of_5_cm_every_5_s_hold_the_whole_run(held_by_fixes):
+    fused = held_by_fixes.metrics["fused"]
+    assert fused["pairs"]["value"] > 900
+    assert fused["ate_rmse"]["value"] <= 0.15
+    statuses = [c.status for c in held_by_fixes.corrections if c.source == "fixes"]
+    assert len(statuses) == len(held_by_fixes.recording.fixes) > 350
+    assert set(statuses) == {"used"}
