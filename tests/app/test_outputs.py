@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from longreach.app import outputs
+from longreach.app import results
 from longreach.app.configuration import EstimateConfig
 from longreach.app.demo import make_and_estimate
 from longreach.app.estimate import estimate
@@ -25,7 +25,7 @@ def silent(stage, fraction):
 @pytest.fixture
 def quick_pictures(monkeypatch):
     """Figures are made, but not painted."""
-    monkeypatch.setattr(outputs.style, "png", lambda figure: b"picture")
+    monkeypatch.setattr(results.style, "png", lambda figure: b"picture")
 
 
 def assert_is_metrics(path):
@@ -132,7 +132,7 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path, estimated, monkeypatch
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(outputs.style, "png", fail)
+    monkeypatch.setattr(results.style, "png", fail)
     with pytest.raises(error):
         write_estimate(estimated, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

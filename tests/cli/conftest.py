@@ -2,7 +2,7 @@
 
 import pytest
 
-from longreach.app import outputs
+from longreach.app import results
 from longreach.cli.main import main
 from longreach.io.bag_writer import write_bag
 from longreach.io.config import load_description
@@ -38,7 +38,7 @@ def run(capsys):
 @pytest.fixture(autouse=True)
 def quick_pictures(monkeypatch):
     """Figures are made, but not painted."""
-    monkeypatch.setattr(outputs.style, "png", lambda figure: b"picture")
+    monkeypatch.setattr(results.style, "png", lambda figure: b"picture")
 
 
 @pytest.fixture(scope="session")

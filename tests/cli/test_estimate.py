@@ -128,7 +128,7 @@ def test_an_interrupt_leaves_what_was_there(run, bags, tmp_path, monkeypatch):
 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "fused.tum").write_text("old")
-    monkeypatch.setattr("longreach.app.outputs.style.png", interrupt)
+    monkeypatch.setattr("longreach.app.results.style.png", interrupt)
     answer = run("estimate", bags / "run.mcap", "--robot", "thing", "--out", tmp_path / "out")
     assert (answer.code, answer.sentence) == (130, "longreach: interrupted; nothing half-written is left behind.")
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "out", tmp_path / "out" / "fused.tum"]

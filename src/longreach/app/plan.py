@@ -46,11 +46,15 @@ class PlanConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan, what it was asked to follow, and what it is worth."""
+    """A plan, what it was asked to follow, and what it is worth.
+
+    followed: the plan waypoint by waypoint, with its reports; trajectory: the same, or its path as fast as can be.
+    """
 
     robot: MobileManipulator
     reference: Reference
     config: PlanConfig
+    followed: ConfigurationTrajectory
     trajectory: ConfigurationTrajectory
     metrics: dict[str, dict[str, Metric]]
     remarks: tuple[str, ...]
@@ -76,14 +80,14 @@ def make_plan(
     else:
         reference = read_reference(Path(what))
     tell("planning", 0.0)
-    trajectory = plan(robot, reference, q0, method=config.method, iterations=config.iterations, **options)
-    metrics = {"plan": _metrics(robot, trajectory)}
-    remarks = tuple(report.reason for report in trajectory.reports)
+    followed = plan(robot, reference, q0, method=config.method, iterations=config.iterations, **options)
+    trajectory, metrics = followed, {"plan": _metrics(robot, followed)}
+    remarks = tuple(report.reason for report in followed.reports)
     if config.retime:
         tell("timing", 0.0)
-        trajectory = retime(trajectory, robot.limits.velocity, robot.limits.acceleration)
+        trajectory = retime(followed, robot.limits.velocity, robot.limits.acceleration)
         metrics["retimed"] = _metrics(robot, trajectory)
-    return Planned(robot, reference, config, trajectory, metrics, remarks)
+    return Planned(robot, reference, config, followed, trajectory, metrics, remarks)
 
 
 def _metrics(robot: MobileManipulator, trajectory: ConfigurationTrajectory) -> dict[str, Metric]:
@@ -142,6 +146,6 @@ def _figures(planned: Planned, tool: np.ndarray, base: np.ndarray) -> dict[str, 
         "velocities": lambda: plan_figures.velocities(trajectory, robot.limits.velocity),
         "manipulability": lambda: plan_figures.manipulability(trajectory.stamps, {"plan": m}),
     }
-    if trajectory.reports:
-        drawn["task_errors"] = lambda: plan_figures.task_errors(trajectory.stamps, trajectory.reports)
+    if planned.followed.reports:
+        drawn["task_errors"] = lambda: plan_figures.task_errors(planned.followed.stamps, planned.followed.reports)
     return drawn

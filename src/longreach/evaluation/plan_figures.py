@@ -26,7 +26,7 @@ _COLOURS = (
 )
 _LINES = ("solid", (0, (5, 1.5)), (0, (1.2, 1.2)))
 
-Path2 = Float[np.ndarray, "n 2"] | None
+Path2 = Float[np.ndarray, "_ 2"] | None
 
 
 def plan_paths(tool: Path2, tool_reference: Path2, base: Path2, base_reference: Path2, title: str = "") -> Figure:
