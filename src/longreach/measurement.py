@@ -22,7 +22,9 @@ _NANOSECONDS = 1e14  # seconds since 1970 stay below 1e10 until the year 2286
 def frozen_array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """Return a read-only float copy of `value`, or raise RecordingError when its shape is not `shape` (None: any)."""
     array = np.array(value, dtype=float)
-    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
+    if array.shape != shape and (
+        array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True))
+    ):
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise RecordingError(f"{what} has shape {array.shape}, expected {wanted}.")
     array.flags.writeable = False

@@ -9,6 +9,15 @@ import math
 from longreach.kernels import kernel
 
 
+@kernel
+def clean(ranges, low, high, flipped, out):
+    """Fill out (n,) with the ranges in counter-clockwise order, 0 where there was no return (REP-117)."""
+    n = len(ranges)
+    for u in range(n):
+        r = ranges[n - 1 - u] if flipped else ranges[u]
+        out[u] = r if r > 0.0 and r >= low and r <= high and r < math.inf else 0.0
+
+
 @kernel(fastmath=True)
 def _smooth_beam(r, u, n, reach):
     """Bilateral mask [1 4 6 4 1] · (reach - |Δr|): neighbours across an edge have no part in the mean."""

@@ -11,7 +11,7 @@ import numpy as np
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log
 from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import solve_in_basis, symmetric_eigen
-from longreach.odometry._pyramid_kernels import build_pyramid, warp
+from longreach.odometry._pyramid_kernels import build_pyramid, clean, warp
 
 Settings = namedtuple("Settings", "reach iterations linearisations settled noise c d lags share")
 
@@ -258,14 +258,18 @@ def sampling_error(ranges, increment, x, y, theta, share):
 
 
 @kernel
-def step_scan(ranges, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance):
-    """Fill the pyramid `new` and match it against `old`.
+def step_scan(
+    measured, low, high, flipped, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance
+):
+    """Fill the pyramid `new` from the ranges measured between low and high, and match it against `old`.
 
     motion (3,): the laser's last twist per scan, replaced by this one's. Fills the base's pose (3,) and covariance
     (3, 3), carried from the laser through the planar mount (3,). Returns the rows used on the finest level.
     """
+    n = len(measured)
+    ranges = np.empty(n)
+    clean(measured, low, high, flipped, ranges)
     build_pyramid(ranges, start, settings.reach, new)
-    n = len(ranges)
     local = np.zeros((3, 3))
     x, y, theta, m = match_pyramids(
         old, new, start, cos, sin, increments, motion, settings, np.empty((5, n)), np.empty((4, n)), local

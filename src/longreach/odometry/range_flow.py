@@ -13,6 +13,7 @@ approach" (the thesis' (3.24)–(3.26)). Where ours differs from its authors' im
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -55,6 +56,21 @@ class RangeFlowConfig(BaseModel):
         description="Deviation of a translation in distances between beams, from aliasing [1]; ours.",
     )
     lags: int = Field(default=6, ge=0, le=50, description="Neighbouring beams whose errors may be correlated [1].")
+
+    @cached_property
+    def settings(self) -> _range_flow_kernels.Settings:
+        """The same as the kernels take it."""
+        return _range_flow_kernels.Settings(
+            reach=self.reach,
+            iterations=self.iterations,
+            linearisations=self.linearisations,
+            settled=self.settled,
+            noise=self.noise,
+            c=self.blend_covariance,
+            d=self.blend_constant,
+            lags=self.lags,
+            share=self.share,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,31 +151,14 @@ def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], level
     )
 
 
-def _ranges(scan: LaserScan, geometry: ScanGeometry) -> Float[np.ndarray, " n"]:
-    returns = scan.returns
-    return returns[::-1].copy() if geometry.flipped else returns
-
-
 def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeFlowConfig) -> RangeFlowState:
     """Start from a first scan."""
     geometry = scan_geometry(scan, T_base_laser, config.levels)
     pyramid = np.empty(geometry.start[-1])
-    _pyramid_kernels.build_pyramid(_ranges(scan, geometry), geometry.start, config.reach, pyramid)
+    ranges = np.empty(geometry.beams)
+    _pyramid_kernels.clean(scan.ranges, float(scan.range_min), float(scan.range_max), geometry.flipped, ranges)
+    _pyramid_kernels.build_pyramid(ranges, geometry.start, config.reach, pyramid)
     return RangeFlowState(scan.stamp, geometry, pyramid, np.zeros(3))
-
-
-def _settings(config: RangeFlowConfig) -> _range_flow_kernels.Settings:
-    return _range_flow_kernels.Settings(
-        reach=config.reach,
-        iterations=config.iterations,
-        linearisations=config.linearisations,
-        settled=config.settled,
-        noise=config.noise,
-        c=config.blend_covariance,
-        d=config.blend_constant,
-        lags=config.lags,
-        share=config.share,
-    )
 
 
 def _same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
@@ -185,7 +184,10 @@ def step(
     pyramid, motion = np.empty_like(state.pyramid), state.motion.copy()
     pose, covariance = np.empty(3), np.empty((3, 3))
     rows = _range_flow_kernels.step_scan(
-        _ranges(scan, g),
+        scan.ranges,
+        float(scan.range_min),
+        float(scan.range_max),
+        g.flipped,
         state.pyramid,
         pyramid,
         g.start,
@@ -194,7 +196,7 @@ def step(
         g.increments,
         motion,
         g.pose_base_laser,
-        _settings(config),
+        config.settings,
         pose,
         covariance,
     )
