@@ -120,3 +120,14 @@ def test_a_recording_is_changed_by_making_another():
 def test_an_unknown_field_of_a_recording_is_named():
     with pytest.raises(RecordingError, match="no lidars, wheel"):
         m.Recording("run").replace(wheel=(), lidars=())
+
+
+def test_a_step_between_two_readings_may_say_how_good_a_reading_is():
+    without = m.RelativePoseMeasurement(0.0, 1.0, TWIST, np.eye(3))
+    assert without.reading_covariance is None
+    R = 0.1 * np.eye(3)
+    step = m.RelativePoseMeasurement(0.0, 1.0, TWIST, np.eye(3), "wheels", R)
+    R[0, 0] = 7.0
+    assert step.reading_covariance[0, 0] == 0.1
+    with pytest.raises(ValueError, match="read-only"):
+        step.reading_covariance[0, 0] = 1.0

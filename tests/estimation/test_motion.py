@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jacobians import assert_is_jacobian
 from scipy.linalg import expm
 
-from longreach.estimation import _kernels, motion
+from longreach.estimation import _kernels, ekf, motion
+from longreach.estimation.filter_config import FilterConfig
 from longreach.geometry import se2
 
 MODEL = motion.MotionModel(0.5, np.array([1.0, 0.7, 2.0]) ** 2, 1e-3)
@@ -89,3 +92,36 @@ def test_draws_spread_as_the_process_noise_says(rng):
     whitened = np.linalg.solve(L, errors.T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(10), atol=0.12)
     np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=0.08)
+
+
+def spread(rng, scale):
+    A = rng.normal(size=(10, 10))
+    return scale**2 * (A @ A.T / 10 + 0.1 * np.eye(10))
+
+
+def test_stamps_that_are_off_add_what_the_base_moves_in_that_time(rng):
+    mean, P = random_mean(rng), spread(rng, 0.3)
+    exact = ekf.predict(MODEL, mean, P, 0.1)
+    off = ekf.predict(replace(MODEL, stamp_deviation=0.02), mean, P, 0.1)
+    np.testing.assert_array_equal(off[0], exact[0])
+    added = off[1] - exact[1]
+    np.testing.assert_allclose(added[3:], 0.0, atol=1e-15)
+    np.testing.assert_allclose(added[:, 3:], 0.0, atol=1e-15)
+    velocities = mean[3:6] + rng.normal(size=(40_000, 3)) @ np.linalg.cholesky(P[3:6, 3:6]).T
+    moved = 0.02 * rng.normal(size=(40_000, 1)) * velocities
+    np.testing.assert_allclose(added[:3, :3], np.cov(moved.T), atol=0.03 * np.abs(added).max())
+
+
+def test_stamps_that_are_off_do_not_matter_to_a_base_that_stands():
+    P = np.diag([1.0, 1.0, 1.0, *[0.0] * 7])
+    off = replace(MODEL, stamp_deviation=10.0)
+    np.testing.assert_array_equal(
+        ekf.predict(off, np.zeros(10), P, 0.1)[1], ekf.predict(MODEL, np.zeros(10), P, 0.1)[1]
+    )
+
+
+def test_the_filters_settings_reach_the_motion_model():
+    config = FilterConfig(stamp_deviation=0.03, acceleration_deviation=(1.0, 2.0, 3.0), gyro_bias_walk=0.1)
+    assert config.motion.stamp_deviation == 0.03
+    np.testing.assert_allclose(config.motion.acceleration_variance, [1.0, 4.0, 9.0])
+    assert config.motion.bias_walk == pytest.approx(0.01)

@@ -192,3 +192,38 @@ def test_the_eigenvectors_are_those_of_linear_algebra(rng):
         _eigen_kernels.symmetric_eigen(D, V)
         np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, S, atol=1e-12 * np.abs(S).max())
         np.testing.assert_allclose(V.T @ V, np.eye(3), atol=1e-12)
+
+
+RANGES = np.array([2.0, 4.0, 0.0, 6.0])  # 4 m on average, one beam without a return
+
+
+@pytest.mark.parametrize(
+    ("motion", "moved"),
+    [
+        ((0.0, 0.0, 0.0), 0.0),  # the same points are seen again
+        ((0.003, 0.004, 0.0), 0.005),
+        ((0.0, 0.0, -0.002), 4.0 * 0.002),
+        ((0.003, -0.004, 0.001), 0.005 + 4.0 * 0.001),
+        ((1.0, 0.0, 0.0), 4.0 * 0.01),  # other points, but no further away than the next beam
+        ((0.0, 0.0, 1.0), 4.0 * 0.01),
+    ],
+)
+def test_points_sampled_elsewhere_are_a_share_of_what_they_moved_or_of_their_distance(motion, moved):
+    assert _range_flow_kernels.sampling_error(RANGES, 0.01, *motion, 0.06) == pytest.approx(0.06 * moved)
+    assert _range_flow_kernels.sampling_error(RANGES, 0.01, *motion, 0.0) == 0.0
+
+
+def test_a_scan_without_returns_has_no_sampling_error():
+    assert _range_flow_kernels.sampling_error(np.zeros(4), 0.01, 1.0, 0.0, 0.5, 0.06) == 0.0
+
+
+def test_the_sampling_error_is_in_the_covariance_of_a_match():
+    scans = [scan_at(np.array([0.05 * i, 0.0, 0.0]), 0.1 * i) for i in range(2)]
+    with_it, without = (
+        lidar_odometry(scans, np.eye(4), RangeFlowConfig(share=share))[0].measurement for share in (0.06, 0.0)
+    )
+    np.testing.assert_array_equal(with_it.pose, without.pose)
+    added = with_it.covariance - without.covariance
+    distance = scans[1].returns[scans[1].returns > 0].mean()
+    expected = 0.06 * min(distance * scans[1].angle_increment, 0.05)
+    np.testing.assert_allclose(added, expected**2 * np.diag([1.0, 1.0, 0.0]), rtol=1e-6, atol=1e-12)

@@ -255,3 +255,41 @@ TICKS = [WheelTicks(0.0, np.zeros(4)), WheelTicks(0.1, np.zeros(4))]
 def test_records_that_do_not_fit_are_refused_with_a_sentence(wheels, robot, message):
     with pytest.raises(EstimationError, match=message):
         wheel_odometry(wheels, robot)
+
+
+TICKED = THING.model_copy(
+    update={"encoder": Encoder(signal="ticks", counts_per_revolution=100.0), "wheel_noise": WheelNoise()}
+)
+
+
+def test_a_reading_of_wheels_at_rest_is_as_wrong_as_its_rounding(rng):
+    """Two roads: the closed form, and counts that are rounded."""
+    wheels = [WheelTicks(0.1 * i, np.zeros(4)) for i in range(3)]
+    R = wheel_odometry(wheels, TICKED).measurements[0].reading_covariance
+    turned = rng.uniform(-0.5, 0.5, (100_000, 4)) * TICKED.encoder.resolution
+    sampled = np.var(turned @ TICKED.base.forward_matrix.T, axis=0)
+    np.testing.assert_allclose(np.diag(R), sampled, rtol=0.03)
+    assert np.linalg.eigvalsh(R).min() > 0
+
+
+def test_a_reading_is_as_old_as_a_step_at_most(rng):
+    """Two roads: the closed form, and poses that a driver publishes up to one step after they were true."""
+    stamps = np.arange(0.0, 2.0, 0.1)
+    wheels = [Odometry(float(t), pose=p) for t, p in zip(stamps, se2.exp(np.outer(stamps, FULL_CIRCLE)), strict=True)]
+    R = wheel_odometry(wheels, DRIVER).measurements[5].reading_covariance
+    age = rng.uniform(0.0, 0.1, 100_000)
+    error = se2.log(se2.exp(np.outer(age, FULL_CIRCLE)))
+    np.testing.assert_allclose(R, error.T @ error / len(age), rtol=0.02, atol=1e-8)
+
+
+def test_what_is_known_of_a_reading_does_not_look_across_a_jump():
+    wheels = records(THING, np.array([0.5, 0.0, 0.0]), duration=1.0)
+    jumped = [WheelTicks(w.stamp, w.ticks + (1e5 if w.stamp > 0.5 else 0.0)) for w in wheels]
+    found = wheel_odometry(jumped, THING)
+    assert found.breaks == 1
+    assert max(m.reading_covariance.max() for m in found.measurements) < 0.02**2
+
+
+def test_the_constant_covariance_knows_nothing_of_readings():
+    found = wheel_odometry(records(THING, FULL_CIRCLE, duration=0.2), THING, WheelConfig(covariance="constant"))
+    assert all(m.reading_covariance is None for m in found.measurements)
