@@ -124,6 +124,14 @@ def test_a_post_beside_the_way_is_passed_at_a_distance():
     assert "base clearance holds it" in plan.reports[3].reason
 
 
+def test_velocities_are_those_of_parabolas_through_neighbours(rng):
+    stamps = np.cumsum(rng.uniform(0.1, 0.3, 12))
+    for rows in (2, 3, 12):
+        plan = lr.ConfigurationTrajectory(stamps[:rows], rng.normal(size=(rows, 4)))
+        expected = np.gradient(plan.q, plan.stamps, axis=0, edge_order=min(rows - 1, 2))
+        np.testing.assert_allclose(plan.velocities, expected, atol=1e-12)
+
+
 def test_plans_are_the_same_every_time():
     a, b = (lr.plan(THING, WIDE, HOME) for _ in range(2))
     np.testing.assert_array_equal(a.q, b.q)

@@ -143,7 +143,8 @@ def advance(e, A, low, high, problem, memory, expected, dq):
         and quick_step(A, a, starts, ranged, setting, order, L, M, b, parts, dq)
         and _fits(A, ranged, floor, ceiling, low, high, dq)
     ):
-        active[:] = False
+        for r in range(len(active)):
+            active[r] = False
     else:
         step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, reach, longest, z, low, high, pool,
              work, parts, dq)  # fmt: skip
@@ -184,7 +185,9 @@ def room(iteration, iterations, q, last, speed, longest, low, high):
 @kernel
 def gauge(e, ranged, lower, upper, owner, angular, sizes):
     """sizes (2, tasks): the length [m] and the angle [rad] of each task's errors, of a range what is out of it."""
-    sizes[:] = 0.0
+    for i in range(sizes.shape[0]):
+        for j in range(sizes.shape[1]):
+            sizes[i, j] = 0.0
     for r in range(len(e)):
         off = max(lower[r] - e[r], e[r] - upper[r], 0.0) if ranged[r] else e[r]
         sizes[1 if angular[r] else 0, owner[r]] += off * off
@@ -214,7 +217,8 @@ def follow(
             if iteration > 0:
                 learn(problem[9], memory[0])
             if iteration == 1:
-                missed[:] = e - predicted
+                for r in range(M):
+                    missed[r] = e[r] - predicted[r]
             moved = 0.0
             for j in range(n):
                 moved = max(moved, abs(dq[j]))
@@ -230,6 +234,8 @@ def follow(
                 q[j] += dq[j]
             forward_jacobian(fixed, prismatic, q, T, J)
         if counts[k] == 0:
-            missed[:] = 0.0
-        Q[k] = q
+            for r in range(M):
+                missed[r] = 0.0
+        for j in range(n):
+            Q[k, j] = q[j]
         gauge(e, ranged, lower, upper, owner, angular, sizes[:, :, k])

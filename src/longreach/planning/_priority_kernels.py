@@ -15,6 +15,7 @@ from longreach.kernels import kernel
 from longreach.planning._hierarchy_kernels import factor, level_step
 
 SICILIANO_SLOTINE, CHIAVERINI = 0, 1
+_ZERO = np.int64(0)  # numba compiles what it calls with a plain 0 once more for that number
 _POOL = 6  # ranges whose 2^6 modes are tried; what else would be left just binds
 
 
@@ -68,10 +69,11 @@ def _along(A, row, dq):
 def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq):
     """dq (n,) of one choice of active ranges; parts (levels + 1,): how far each level's part of it goes."""
     V, W, L, b, y, M, x, rows = work
-    rank, part = 0, 0
-    dq[:] = 0.0
+    rank, part = _ZERO, 0
+    for k in range(len(dq)):
+        dq[k] = 0.0
     for level in range(len(starts) - 1):
-        m = 0
+        m = _ZERO
         for r in range(starts[level], starts[level + 1]):
             if active[r] or not ranged[r]:
                 rows[m] = r
@@ -85,21 +87,24 @@ def descend(A, a, starts, ranged, active, goal, scheme, setting, reach, longest,
         tolerance = setting[level, 2]
         inverse = (setting[level, 0], setting[level, 1], tolerance, setting[level, 3], setting[level, 4], reach[level],
                    longest[level])  # fmt: skip
-        if scheme == SICILIANO_SLOTINE:  # (4.16), any number of levels
-            new = factor(A, rows, m, tolerance, V, rank, L)
-            level_step(L, m, V, rank, new, inverse, b, (M, y), x)
-            if setting[level, 3] > 0.0:
-                _project(V, rank, x)  # the filter moves along directions that B̃ has lost, whatever they are
-        else:  # (4.17)
-            new = factor(A, rows, m, tolerance, W, 0, L)
-            level_step(L, m, W, 0, new, inverse, b, (M, y), x)
+        if scheme == SICILIANO_SLOTINE:
+            basis, known = V, rank
+        else:
+            basis, known = W, _ZERO
+        new = factor(A, rows, m, tolerance, basis, known, L)
+        level_step(
+            L, m, basis, known, new, inverse, b, (M, y), x
+        )  # (4.16), any number of levels, or the second of (4.17)
+        if scheme == CHIAVERINI or setting[level, 3] > 0.0:  # a filter moves along directions that are lost, too
             _project(V, rank, x)
+        if scheme == CHIAVERINI:
             new = factor(A, rows, m, tolerance, V, rank, L)
         rank = new
         parts[level] = _add_share(x, low[part], high[part], dq)
         if not ranged[starts[level]]:
             part = 1
-    x[:] = z
+    for k in range(len(dq)):
+        x[k] = z[k]
     _project(V, rank, x)  # (4.15)
     parts[len(starts) - 1] = _add_share(x, low[part], high[part], dq)
 
@@ -129,6 +134,8 @@ def _leaving(A, ranged, active, floor, ceiling, dq, goal, pool, size):
 @kernel
 def _activate(active, pool, size, mode):
     """Of the pool's first few ranges those in the bits of `mode` bind, and of the others all."""
+    for r in range(len(active)):
+        active[r] = False
     for i in range(size):
         active[pool[i]] = i >= _POOL or ((mode >> i) & 1) == 1
 
@@ -149,7 +156,7 @@ def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, re
 
     The ranges at stake are those that a mode before would have left; `active` tells which bind in the end.
     """
-    size = 0
+    size = _ZERO
     while True:
         before = size
         tried = min(size, _POOL)
@@ -159,7 +166,6 @@ def step(A, a, starts, ranged, active, goal, floor, ceiling, scheme, setting, re
             for mode in range(1 << tried):
                 if _bits(mode) != count:
                     continue
-                active[:] = False
                 _activate(active, pool, size, mode)
                 descend(
                     A, a, starts, ranged, active, goal, scheme, setting, reach, longest, z, low, high, work, parts, dq

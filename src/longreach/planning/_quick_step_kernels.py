@@ -10,10 +10,13 @@ It squares the condition number: rows that lie nearer than `_NEAR` to those abov
 
 import math
 
+import numpy as np
+
 from longreach.kernels import kernel
 from longreach.planning import _pseudoinverse_kernels as inverses
 
 _FUSED = {"contract", "reassoc"}
+_ZERO = np.int64(0)  # as in _priority_kernels
 _NEAR = 1e-4  # squared sine of the angle between a row and those before it; L then has 12 digits
 
 
@@ -71,7 +74,7 @@ def quick_step(A, a, starts, ranged, setting, rows, L, M, b, parts, dq):
 
     False where the levels get in each other's way or their inverses need singular values.
     """
-    m, n = 0, len(dq)
+    m, n = _ZERO, len(dq)
     for level in range(len(starts) - 1):
         first = m
         for r in range(starts[level], starts[level + 1]):
@@ -84,7 +87,7 @@ def quick_step(A, a, starts, ranged, setting, rows, L, M, b, parts, dq):
             return False
     if not _factor(A, rows, m, L):
         return False
-    last = 0
+    last = _ZERO
     for level in range(len(starts) - 1):
         first = last
         while last < m and rows[last] < starts[level + 1]:

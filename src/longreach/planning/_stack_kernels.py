@@ -1,7 +1,7 @@
 """Compiled errors and Jacobians of the common tasks, one below the other.
 
-A task is a kind and a target (a row of numbers: a pose row by row, [x, y, θ], or a configuration); T (4, 4) and
-J (6, n) are those of the tool. A base's q starts with x, y, θ.
+A task is a kind and a target, rows of four numbers: a pose (4, 4), or [x, y, θ] or a configuration one number after the
+other. T (4, 4) and J (6, n) are those of the tool. A base's q starts with x, y, θ.
 """
 
 import numpy as np
@@ -59,26 +59,26 @@ def _base_jacobian(q, e, A):
 
 @kernel(fastmath=_FUSED)
 def errors(kinds, targets, q, T, e):
-    """Fill e (M,) with the tasks' errors; targets (tasks, width)."""
+    """Fill e (M,) with the tasks' errors; targets (tasks, rows, 4)."""
     n, row = len(q), 0
     for i in range(len(kinds)):
         kind, target = kinds[i], targets[i]
         m = rows_of(kind, n)
         if kind == TOOL_POSE:
-            _task_kernels.pose_error(target[:16].reshape(4, 4), T, e[row : row + m])
+            _task_kernels.pose_error(target, T, e[row : row + m])
         elif kind == TOOL_POSITION:
             for j in range(3):
-                e[row + j] = T[j, 3] - target[4 * j + 3]
+                e[row + j] = T[j, 3] - target[j, 3]
         elif kind == TOOL_ORIENTATION:
-            _orientation_error(target[:16].reshape(4, 4), T, e[row : row + m])
+            _orientation_error(target, T, e[row : row + m])
         elif kind == BASE_POSE:
-            x, y, t = geometry.se2_between(target[0], target[1], target[2], q[0], q[1], q[2])
+            x, y, t = geometry.se2_between(target[0, 0], target[0, 1], target[0, 2], q[0], q[1], q[2])
             e[row], e[row + 1], e[row + 2] = geometry.se2_log(x, y, t)
         elif kind == BASE_HEADING:
-            e[row] = geometry.wrap(q[2] - target[2])
+            e[row] = geometry.wrap(q[2] - target[0, 2])
         else:
             for j in range(m):
-                e[row + j] = q[j] - target[j]
+                e[row + j] = q[j] - target[j // 4, j % 4]
         row += m
 
 
@@ -90,10 +90,11 @@ def jacobians(kinds, targets, q, T, J, e, A):
         kind = kinds[i]
         m = rows_of(kind, n)
         if kind == TOOL_POSE:
-            T_target = targets[i, :16].reshape(4, 4)
-            _task_kernels.pose_jacobian(T_target, T, J, e[row : row + m], A[row : row + m])
+            _task_kernels.pose_jacobian(targets[i], T, J, e[row : row + m], A[row : row + m])
         elif kind == TOOL_POSITION:
-            A[row : row + m] = J[:3]
+            for j in range(3):
+                for k in range(n):
+                    A[row + j, k] = J[j, k]
         elif kind == TOOL_ORIENTATION:
             _orientation_jacobian(T, J, e[row : row + m], A[row : row + m])
         elif kind == BASE_POSE:

@@ -112,12 +112,12 @@ def _compiled(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return configurations, sizes of errors and iterations at all waypoints, by one call of a kernel."""
     robot, count = stack.robot, len(reference)
-    targets = np.zeros((count, len(stack.tasks), max(16, robot.dof)))
+    targets = np.zeros((count, len(stack.tasks), max(4, -(-robot.dof // 4)), 4))
     for i, task in enumerate(stack.tasks):
         if task.name == "tool" and isinstance(task, ToolPose) and reference.tool is not None:
-            targets[:, i, :16] = reference.tool.reshape(count, 16)
+            targets[:, i, :4] = reference.tool
         elif task.name == "base" and isinstance(task, BasePose) and reference.base is not None:
-            targets[:, i, :3] = reference.base
+            targets[:, i, 0, :3] = reference.base
         else:
             numbers = task.numbers()
             targets[:, i, : len(numbers)] = numbers

@@ -75,7 +75,7 @@ class Task(ABC):
             raise PlanningError(f"The task {self.name} has {m} rows, but {len(self.weights)} weights.")
         return np.array(self.weights or (1.0,) * m)
 
-    def numbers(self) -> Float[np.ndarray, " _"]:
+    def numbers(self) -> Float[np.ndarray, "_ 4"]:
         """Return the target as the compiled tasks read it; only for those with a `kind`."""
         raise NotImplementedError
 
@@ -98,6 +98,13 @@ def levels_of(tasks: Levels) -> list[list[Task]]:
     if doubled:
         raise PlanningError(f"Two tasks are called {min(doubled)!r}; give them names of their own.")
     return levels
+
+
+def in_fours(numbers: Float[np.ndarray, " _"]) -> Float[np.ndarray, "_ 4"]:
+    """Return numbers in rows of four, filled up with 0."""
+    out = np.zeros((-(-len(numbers) // 4), 4))
+    out.flat[: len(numbers)] = numbers
+    return out
 
 
 def target_array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:

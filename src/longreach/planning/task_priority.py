@@ -53,7 +53,7 @@ class TaskPriorityConfig(BaseModel, frozen=True, extra="forbid"):
         default=0.2, gt=0, description="Farthest a joint goes in one iteration [rad]; ours."
     )
     max_step_prismatic: float = Field(default=0.2, gt=0, description="The same of a prismatic joint [m]; ours.")
-    tolerance: float = Field(default=1e-12, ge=0, description="An error that ends the iteration [m, rad]; ours.")
+    tolerance: float = Field(default=3e-13, ge=0, description="An error that ends the iteration [m, rad]; ours.")
     least_step: float = Field(default=1e-9, ge=0, description="A step that ends it [m, rad]; ours.")
     met: float = Field(
         default=1e-4, gt=0, description="A task of a smaller error counts as met [m, rad]; what TRAC-IK's authors use."

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from longreach.errors import PlanningError
 from longreach.planning import _stack_kernels as kernels
-from longreach.planning.task import Jacobian, Task, Value, target_array
+from longreach.planning.task import Jacobian, Task, Value, in_fours, target_array
 from longreach.reference import check_rigid
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -27,7 +27,7 @@ class _Common(Task):
         self, robot: MobileManipulator, q: Float[np.ndarray, " n"], T: np.ndarray, J: np.ndarray
     ) -> tuple[Value, Jacobian]:
         m = len(self.angular(robot))
-        e, A, kinds, target = np.empty(m), np.zeros((m, robot.dof)), np.array([self.kind]), self.numbers()[None].copy()
+        e, A, kinds, target = np.empty(m), np.zeros((m, robot.dof)), np.array([self.kind]), self.numbers()[None]
         q = np.array(q, dtype=float)
         kernels.errors(kinds, target, q, T, e)
         kernels.jacobians(kinds, target, q, T, J, e, A)
@@ -61,8 +61,8 @@ class ToolPose(_ToolTask):
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "6"]:
         return np.array([False] * 3 + [True] * 3)
 
-    def numbers(self) -> Float[np.ndarray, "16"]:
-        return self.target.ravel()
+    def numbers(self) -> Float[np.ndarray, "4 4"]:
+        return self.target.copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,10 @@ class ToolPosition(_ToolTask):
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
         return np.zeros(3, dtype=bool)
 
-    def numbers(self) -> Float[np.ndarray, "16"]:
+    def numbers(self) -> Float[np.ndarray, "4 4"]:
         T = np.eye(4)
         T[:3, 3] = self.target
-        return T.ravel()
+        return T
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +97,15 @@ class ToolOrientation(_ToolTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "target", target_array(self.target, (3, 3), self.name))
-        check_rigid(self.numbers().reshape(1, 4, 4), f"The target of {self.name}")
+        check_rigid(self.numbers()[None], f"The target of {self.name}")
 
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
         return np.ones(3, dtype=bool)
 
-    def numbers(self) -> Float[np.ndarray, "16"]:
+    def numbers(self) -> Float[np.ndarray, "4 4"]:
         T = np.eye(4)
         T[:3, :3] = self.target
-        return T.ravel()
+        return T
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +131,8 @@ class BasePose(_BaseTask):
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "3"]:
         return np.array([False, False, True])
 
-    def numbers(self) -> Float[np.ndarray, "3"]:
-        return self.target
+    def numbers(self) -> Float[np.ndarray, "1 4"]:
+        return in_fours(self.target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +150,8 @@ class BasePosition(_BaseTask):
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "2"]:
         return np.zeros(2, dtype=bool)
 
-    def numbers(self) -> Float[np.ndarray, "3"]:
-        return np.append(self.target, 0.0)
+    def numbers(self) -> Float[np.ndarray, "1 4"]:
+        return in_fours(self.target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +169,8 @@ class BaseHeading(_BaseTask):
     def angular(self, robot: MobileManipulator) -> Bool[np.ndarray, "1"]:
         return np.ones(1, dtype=bool)
 
-    def numbers(self) -> Float[np.ndarray, "3"]:
-        return np.array([0.0, 0.0, self.target])
+    def numbers(self) -> Float[np.ndarray, "1 4"]:
+        return in_fours(np.array([0.0, 0.0, self.target]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,5 +190,5 @@ class Posture(_Common):
             raise PlanningError(f"The {self.name} has {len(self.target)} numbers, but {robot.name} has {robot.dof}.")
         return ~robot.prismatic
 
-    def numbers(self) -> Float[np.ndarray, " n"]:
-        return self.target
+    def numbers(self) -> Float[np.ndarray, "_ 4"]:
+        return in_fours(self.target)

@@ -31,8 +31,8 @@ class WithinLimits(Task):
     def bounds(self, robot: MobileManipulator) -> tuple[Value, Value]:
         return robot.lower, robot.upper
 
-    def numbers(self) -> Float[np.ndarray, " _"]:
-        return np.zeros(0)
+    def numbers(self) -> Float[np.ndarray, "0 4"]:
+        return np.zeros((0, 4))
 
 
 @dataclass(frozen=True, eq=False)
