@@ -77,6 +77,18 @@ def test_the_metrics_tell_how_consistent_filter_and_matches_are(estimated):
     assert fused["nis_wheels_rows"]["value"] == 250
 
 
+def test_a_counter_carries_its_anchor_along_and_a_match_has_one_of_its_own(made, estimated, thing):
+    placed = [c.source for c in estimated.corrections if c.dof == 0]
+    assert placed.count("wheels") == 1
+    assert placed.count("lidar") == len(estimated.lidar_measurements) == len(made.scans) - 1
+    jumped = tuple(replace(w, ticks=w.ticks + (1e4 if w.stamp > 5.0 else 0.0)) for w in made.wheels)
+    again = estimate(made.replace(wheels=jumped, scans=(), imu=()), thing, WHEELS_ALONE)
+    assert [c.status for c in again.corrections if c.dof == 0] == ["used", "used"]  # one more, where it goes on
+    constant = WHEELS_ALONE.model_copy(update={"wheels": WheelConfig(covariance="constant")})
+    steps = estimate(made.replace(scans=(), imu=()), thing, constant)
+    assert sum(c.dof == 0 for c in steps.corrections) == len(made.wheels) - 1
+
+
 def test_the_same_recording_gives_the_same_estimate(made, thing, estimated):
     assert same(estimate(made, thing, IN_ONE_WORLD), estimated)
 
