@@ -1,0 +1,157 @@
+"""What a robot, real or simulated, looks like to whoever drives it: read, write, stop.
+
+A driver for a robot of your own is one class with the five members of `Hardware`; it need not inherit from it:
+
+    class MyRobot:
+        def __init__(self, address):
+            self.promises = Promises(arm_names=..., arm_limits=..., base_velocity=..., base_acceleration=...)
+
+        def read(self):               # never waits: what has arrived since the last call, possibly nothing
+            return Readings(stamp=now, joints=..., wheels=..., scans=...)
+
+        def write(self, command):     # at most once a tick; the newest command holds
+            ...                       # None in a command: that part goes on as it is, up to `promises.timeout`
+
+        def stop(self, reason):       # at once, by the robot's own means; may be called twice
+            ...
+
+`stamp`s are seconds on one clock of the robot's, that of `read`; a simulation's is simulated time. What a driver must
+do by itself: bring the robot to rest when no command came for `promises.timeout`, and when its process ends.
+The double in the tests, `RecordedHardware`, is the shortest one that works.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import LongreachError
+from longreach.measurement import Imu, JointState, LaserScan, Wheels, frozen_array
+from longreach.robot.chain import JointLimits
+
+ArmMode = Literal["velocity", "position"]
+
+
+class ControlError(LongreachError):
+    """A command, a controller or its input cannot be used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench:
+    """Force [N] and torque [N·m] that the environment exerts on the tool, in the frame of the sensor (an FT300)."""
+
+    stamp: float
+    force: Float[np.ndarray, "3"]
+    torque: Float[np.ndarray, "3"]
+    frame: str = "wrench"
+
+    def __post_init__(self) -> None:
+        for name in ("force", "torque"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), f"Wrench.{name}"))
+
+
+@dataclass(frozen=True)
+class GripperState:
+    """Where the fingers are: closed from 0 (open) to 1 (closed), how fast [1/s], with what force at the tips [N]."""
+
+    stamp: float
+    closed: float
+    velocity: float = 0.0
+    force: float = 0.0
+
+
+@dataclass(frozen=True)
+class GripperCommand:
+    """One wish for the fingers: closed 0 to 1, closing velocity [1/s], or closing force at the tips [N]."""
+
+    mode: Literal["position", "velocity", "force"]
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All that is new since the last read, each with its own stamp and in its order; `stamp`: when it was read [s].
+
+    emergency_stop: whether the robot's red button is pressed now.
+    """
+
+    stamp: float
+    wheels: tuple[Wheels, ...] = ()
+    scans: tuple[LaserScan, ...] = ()
+    imu: tuple[Imu, ...] = ()
+    joints: tuple[JointState, ...] = ()
+    wrenches: tuple[Wrench, ...] = ()
+    gripper: GripperState | None = None
+    emergency_stop: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """What the robot is to do from now on; what is None goes on as before, up to the command's timeout.
+
+    arm (n,): velocities [rad/s], or positions [rad] to be reached within a tick, as `arm_mode` says.
+    base (3,): body twist [v_x, v_y, ω]. Numbers that are not finite are for the safety gate to find.
+
+    Raises:
+        ControlError: a shape does not fit.
+    """
+
+    stamp: float
+    arm: Float[np.ndarray, " n"] | None = None
+    arm_mode: ArmMode = "velocity"
+    base: Float[np.ndarray, "3"] | None = None
+    gripper: GripperCommand | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("arm", "base"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = np.array(value, dtype=float)
+            if array.ndim != 1 or (name == "base" and len(array) != 3):
+                wanted = "(3,)" if name == "base" else "(joints,)"
+                raise ControlError(f"A command's {name} has the shape {array.shape}; give it the shape {wanted}.")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class Promises:
+    """What a robot can do and keeps to: its arm's joints and their limits, its base's, the rates it takes commands at.
+
+    arm_limits: each (n,), in the order of `arm_names`. base_velocity, base_acceleration (3,): of [v_x, v_y, ω]; None
+    where it is bolted down. Rates [Hz] are the UR10's and the Ridgeback's; timeout [s]: without a command it comes to
+    rest after this, the Ridgeback's.
+    """
+
+    arm_names: tuple[str, ...]
+    arm_limits: JointLimits
+    base_velocity: Float[np.ndarray, "3"] | None = None
+    base_acceleration: Float[np.ndarray, "3"] | None = None
+    arm_rate: float = 125.0
+    base_rate: float = 50.0
+    timeout: float = 0.25
+    arm_modes: tuple[ArmMode, ...] = ("velocity", "position")
+    gripper: bool = False
+
+
+class Hardware(Protocol):
+    """A robot that can be driven; the module's text is the template of a driver."""
+
+    @property
+    def promises(self) -> Promises:
+        """What the robot can do."""
+        ...
+
+    def read(self) -> Readings:
+        """Return everything new since the last call, without waiting."""
+        ...
+
+    def write(self, command: Command) -> None:
+        """Send a command that has passed the safety gate: the arm's at 125 Hz, the base's at 50 Hz."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Bring everything to rest by the robot's own means, and keep it there."""
+        ...
