@@ -1,0 +1,75 @@
+"""The subproblem where its rows contradict each other: all but the box give way, at the merit function's price."""
+
+import numpy as np
+import piqp
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from longreach.planning.subproblem import _EXACT, _FLOOR, Step, Subproblem
+
+
+def elastic(
+    q: Subproblem, A: Float[np.ndarray, "N e n"], c: Float[np.ndarray, "N e"],
+    penalties: tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]],
+) -> Step | None:  # fmt: skip
+    """Return the step that minimises the ℓ1 merit's model within the box; the equations A d = -c give way, too.
+
+    penalties: of the equations (e,), of the rows before the box (r,), and one a link. The answer is None only where
+    the solver fails.
+    """
+    N, n, _ = q.Z.shape
+    r = q.G.shape[1] - n
+    on_links = [
+        (sp.kron(_matrix(link.coefficients, N), sp.eye(n)), link.lower.ravel(), link.upper.ravel(), float(mu))
+        for link, mu in zip(q.limits, penalties[2], strict=True)
+    ]
+    e = A.shape[1]
+    rows = sp.vstack([_blocks(A), _blocks(q.G[:, :r]), *(link[0] for link in on_links)])
+    low = np.concatenate([q.lower[:, :r].ravel(), *(link[1] for link in on_links)])
+    high = np.concatenate([q.upper[:, :r].ravel(), *(link[2] for link in on_links)])
+    price = np.concatenate(
+        [np.tile(penalties[0], N), np.tile(penalties[1], N), *(np.full(len(link[1]), link[3]) for link in on_links)]
+    )
+    m = rows.shape[0]
+    G = sp.hstack([rows, sp.eye(m), -sp.eye(m)]).tocsr()  # low ≤ rows d + s⁺ - s⁻ ≤ high
+    P = _blocks(q.Z @ q.H @ q.Z.transpose(0, 2, 1)) + _FLOOR * sp.eye(N * n)
+    for cost in q.costs:
+        D = sp.kron(_matrix(cost.coefficients, N), sp.eye(n))
+        P = P + cost.curvature * (D.T @ D)
+    P = sp.block_diag([P, _FLOOR * sp.eye(2 * m)])
+    lower = np.concatenate([q.lower[:, r:].ravel(), np.zeros(2 * m)])
+    upper = np.concatenate([q.upper[:, r:].ravel(), np.full(2 * m, np.inf)])
+    solver = piqp.SparseSolver()
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 100 * _EXACT
+    equations, others = G[: N * e].tocsc(), G[N * e :].tocsc()
+    solver.setup(
+        sp.triu(P).tocsc(), np.concatenate([q.g.ravel(), price, price]), equations, -c.ravel(), others, low, high,
+        lower, upper,
+    )  # fmt: skip
+    status = solver.solve()
+    if status not in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED, piqp.PIQP_NUMERICS):
+        return None
+    x, y = solver.result.x, np.concatenate([solver.result.y, solver.result.z_u - solver.result.z_l])
+    box = (solver.result.z_bu - solver.result.z_bl)[: N * n].reshape(N, n)
+    stops = np.cumsum([N * e, N * r, *(len(link[1]) for link in on_links)])
+    parts = np.split(y, stops[:-1])
+    return Step(
+        x[: N * n].reshape(N, n).copy(),
+        np.hstack([parts[1].reshape(N, r), box]),
+        tuple(part.reshape(-1, n) for part in parts[2:]),
+        parts[0].reshape(N, e),
+    )
+
+
+def _blocks(A: np.ndarray) -> sp.csc_matrix:
+    """Return blocks (N, r, n) down the diagonal."""
+    N, r, n = A.shape
+    k, i, j = np.meshgrid(np.arange(N), np.arange(r), np.arange(n), indexing="ij")
+    return sp.csc_matrix((A.ravel(), ((k * r + i).ravel(), (k * n + j).ravel())), shape=(N * r, N * n))
+
+
+def _matrix(coefficients: np.ndarray, N: int) -> sp.csc_matrix:
+    k, width = coefficients.shape
+    rows = np.repeat(np.arange(k), width)
+    columns = (np.arange(k)[:, None] + np.arange(width)).ravel()
+    return sp.csc_matrix((coefficients.ravel(), (rows, columns)), shape=(k, N))

@@ -1,0 +1,322 @@
+"""One round of Algorithm 2: convexify, minimise, try the step, look at the optimality conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from longreach.planning import _sqp_kernels as kernels
+from longreach.planning.elastic import elastic
+from longreach.planning.problem import bending
+from longreach.planning.program import Program
+from longreach.planning.subproblem import Step, Subproblem, one_waypoint
+
+if TYPE_CHECKING:
+    from longreach.planning.sqp import Run
+
+_DIFFERENCE = 1e-6  # [rad, m] between the gradients whose difference is the curvature
+_ROUNDING = 1e-12  # of the merit: an improvement less than that cannot be seen
+_STILL = 1e-11  # [rad, m], a step that is none
+_HOLDS = 1e-6  # a multiplier that is more than rounding
+_AT = 1e-9  # [rad, m] from a limit that counts as on it
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The convex model of the problems `todo`: arrays (b, N, ...), see `Subproblem`."""
+
+    g: np.ndarray
+    d0: np.ndarray
+    Z: np.ndarray
+    G: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    independent: np.ndarray
+
+
+def _factors(A: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return Q, R, the shortest d with A d = -c, and whether there is one, for A (b, N, e, n)."""
+    b, N, e, n = A.shape
+    w = b * N
+    Q, R, d, independent = np.empty((w, n, n)), np.empty((w, e, e)), np.empty((w, n)), np.empty(w, dtype=bool)
+    kernels.eliminate(np.ascontiguousarray(A).reshape(w, e, n), np.ascontiguousarray(c).reshape(w, e), Q, R, d, independent)
+    return Q, R, d.reshape(b, N, n), independent.reshape(b, N).all(axis=1)
+
+
+def _gradient(run: Run, todo: np.ndarray) -> np.ndarray:
+    """Return the gradient (b, N, n) of the costs, those of links too."""
+    g = run.g[todo]
+    for cost in run.program.costs:
+        g = g + cost.curvature * cost.transposed(cost.of(run.x[0]), g.shape[1])
+    return g
+
+
+def convexify(run: Run, todo: np.ndarray) -> Model:
+    """Return the model (4.20), (4.21) at the present point, with the curvature of the Lagrangian made convex."""
+    program, equation = run.program, run.program.layout.equation
+    b, N, n = len(todo), *run.x.shape[1:]
+    A, c = run.A[todo], run.c[todo]
+    goal = program.layout.lower.reshape(-1, N, len(equation))[todo]
+    Q, _, d0, independent = _factors(A[:, :, equation], (c - goal)[:, :, equation])
+    Z = np.ascontiguousarray(Q[:, :, equation.sum() :]).reshape(b, N, n, -1)
+    renew = run.fresh[todo]
+    if renew.any():
+        run.H[todo[renew]] = _curvature(run, todo[renew], Z[renew])
+        run.fresh[todo] = False
+    delta = run.trust[todo, None, None]
+    x = run.x[todo]
+    low, high = np.maximum(program.lower - x, -delta), np.minimum(program.upper - x, delta)
+    upper = program.layout.upper.reshape(-1, N, len(equation))[todo]
+    G = np.concatenate([A[:, :, ~equation], np.broadcast_to(np.eye(n), (b, N, n, n))], axis=2)
+    return Model(
+        _gradient(run, todo), d0, Z, G,
+        np.concatenate([(goal - c)[:, :, ~equation], low], axis=2),
+        np.concatenate([(upper - c)[:, :, ~equation], high], axis=2),
+        independent,
+    )  # fmt: skip
+
+
+def _curvature(run: Run, todo: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Return Zᵀ ∇²L Z (b, N, p, p) with its eigenvalues lifted to the floor; gradients are differenced along Z."""
+    program = run.program
+    b, N, n, p = Z.shape
+    if p == 0:
+        return np.empty((b, N, 0, 0))
+    lam = bending(program.problem, program.layout, run.lam[todo].reshape(b * N, -1)).reshape(b, N, -1)
+    x = run.x[todo, None] + _DIFFERENCE * np.moveaxis(Z, 3, 1)  # (b, p, N, n)
+    e = program.evaluate(x.reshape(b * p, N, n), np.repeat(todo, p))
+    pull = np.swapaxes(e.A.reshape(b, p, N, -1, n), 3, 4) @ lam[:, None, :, :, None]
+    moved = e.g.reshape(b, p, N, n) + pull[..., 0]
+    here = run.g[todo] + (np.swapaxes(run.A[todo], 2, 3) @ lam[..., None])[..., 0]
+    H = np.einsum("bkja,bckj->bkac", Z, moved - here[:, None]) / _DIFFERENCE
+    s, V = np.linalg.eigh(0.5 * (H + np.swapaxes(H, 2, 3)))
+    return (V * np.maximum(s, run.config.curvature_floor)[:, :, None, :]) @ np.swapaxes(V, 2, 3)
+
+
+def minimise(run: Run, todo: np.ndarray, model: Model) -> list[Step | None]:
+    """Return the subproblems' solutions (4.22)."""
+    N = run.x.shape[1]
+    alone = N == 1
+    if alone:
+        gz = np.einsum("bjp,bj->bp", model.Z[:, 0], model.g[:, 0])
+        GZ = model.G[:, 0] @ model.Z[:, 0]
+        at = np.einsum("brj,bj->br", model.G[:, 0], model.d0[:, 0])
+        low, high = model.lower[:, 0] - at, model.upper[:, 0] - at
+    steps: list[Step | None] = []
+    for i, b in enumerate(todo):
+        step = None
+        if model.independent[i] and alone:
+            found = one_waypoint(run.H[b, 0], gz[i], GZ[i], low[i], high[i])
+            if found is not None:
+                step = Step(model.d0[i] + model.Z[i, 0] @ found[0], found[1][None])
+        elif model.independent[i]:
+            step = run.sequence.solve(_subproblem(run, b, i, model))
+        steps.append(step or _give_way(run, b, i, model))
+    return steps
+
+
+def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
+    limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
+    parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
+    return Subproblem(*parts, run.program.costs, limits)
+
+
+def _give_way(run: Run, b: int, i: int, model: Model) -> Step | None:
+    equation = run.program.layout.equation
+    goal = run.program.layout.lower.reshape(-1, *run.c.shape[1:])[b]
+    c = (run.c[b] - goal)[:, equation]
+    penalties = (run.mu[b, equation], run.mu[b, ~equation], tuple(run.mu_links))
+    return elastic(_subproblem(run, b, i, model), run.A[b][:, equation], c, penalties)
+
+
+def _merit(run: Run, b: np.ndarray, x: np.ndarray, f: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return f + Σ μ · violation (b,), (4.23) corrected."""
+    rows, links = run.program.violations(x, c, b)
+    total = run.program.objective(x, f) + np.einsum("bkm,bm->b", rows, run.mu[b])
+    return total + sum(mu * np.sum(link) for mu, link in zip(run.mu_links, links, strict=True))
+
+
+def _worst(program: Program, x: np.ndarray, c: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the largest violation (b,)."""
+    rows, links = program.violations(x, c, b)
+    worst = rows.max(axis=(1, 2), initial=0.0)
+    return np.maximum(worst, max((link.max(initial=0.0) for link in links), default=0.0))
+
+
+def attempt(run: Run, todo: np.ndarray, model: Model, steps: list[Step | None]) -> None:
+    """Take the steps that improve the merit as their model said; elsewhere shrink the trust region."""
+    b, N, n = len(todo), *run.x.shape[1:]
+    step = np.array([np.zeros((N, n)) if s is None else s.d for s in steps])
+    _raise_above_multipliers(run, todo, steps)
+    x = np.clip(run.x[todo] + step, run.program.lower, run.program.upper)
+    before = _merit(run, todo, run.x[todo], run.f[todo], run.c[todo])
+    promised = before - _modelled_merit(run, todo, model.Z, x)
+    x = _corrected(run, todo, x, steps)
+    d = x - run.x[todo]
+    e = run.program.evaluate(x, todo)
+    f, c = e.f.reshape(b, N), e.c.reshape(b, N, -1)
+    true = before - _merit(run, todo, x, f, c)
+    unseen = _ROUNDING * (1.0 + np.abs(before))
+    good = (true >= run.config.accept * promised - unseen) & np.array([s is not None for s in steps])
+    larger = np.minimum(run.config.expand * run.trust[todo], run.config.most_trust)
+    run.trust[todo] = np.where(good, larger, run.config.shrink * np.abs(step).max(axis=(1, 2)))
+    taken = todo[good]
+    run.x[taken], run.f[taken], run.c[taken] = x[good], f[good], c[good]
+    run.g[taken] = e.g.reshape(b, N, n)[good]
+    run.A[taken] = e.A.reshape(b, N, -1, n)[good]
+    run.fresh[todo] = True
+    for i in range(b):
+        if steps[i] is not None:
+            _take_multipliers(run, todo[i], steps[i])
+    remember(run, taken)
+    _certify(run, todo, good, np.abs(d).max(axis=(1, 2)), [s is not None and s.equations is not None for s in steps])
+
+
+def _modelled_merit(run: Run, todo: np.ndarray, Z: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return what the convex model takes the merit at x for."""
+    d = x - run.x[todo]
+    free = np.einsum("bkjp,bkj->bkp", Z, d)
+    f = run.f[todo] + np.einsum("bkj,bkj->bk", run.g[todo], d)
+    f += 0.5 * np.einsum("bkp,bkpq,bkq->bk", free, run.H[todo], free)
+    return _merit(run, todo, x, f, run.c[todo] + np.einsum("bkmj,bkj->bkm", run.A[todo], d))
+
+
+def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: list[Step | None]) -> np.ndarray:
+    """Return x moved by the shortest step that takes away, to first order, what its constraints are violated by.
+
+    Constraints that hold the step stay where they are; of one that is violated in some of its values, only these count.
+    So the curvature of constraints does not make the merit refuse good steps (Maratos' effect). Source: Nocedal &
+    Wright, "Numerical Optimization", section 18.3.
+    """
+    c = run.program.values(x, todo)
+    lower, upper = run.program.bounds(todo, x.shape[1])
+    off = np.where(c > upper, c - upper, np.where(c < lower, c - lower, 0.0))
+    layout = run.program.layout
+    b, N, n = x.shape
+    used = (off != 0.0) | layout.equation
+    rows = int((~layout.equation).sum())
+    y = np.zeros(c.shape)
+    y[:, :, ~layout.equation] = np.array([np.zeros((N, rows)) if s is None else s.rows[:, :rows] for s in steps])
+    holding = np.abs(y) > _HOLDS
+    for i in range(len(layout.names)):
+        mine = layout.owner == i
+        used[:, :, mine] |= holding[:, :, mine] & ~used[:, :, mine].any(axis=2, keepdims=True)
+    off = np.where(holding & (off == 0.0), np.where(y > 0, c - upper, c - lower), off)
+    d = np.empty((b * N, n))
+    kernels.correct(run.A[todo].reshape(b * N, -1, n), off.reshape(b * N, -1), used.reshape(b * N, -1), d)
+    d = d.reshape(x.shape)
+    small = np.abs(d).max(axis=(1, 2)) <= 0.5 * np.abs(x - run.x[todo]).max(axis=(1, 2))
+    return np.clip(x + np.where(small[:, None, None], d, 0.0), run.program.lower, run.program.upper)
+
+
+def _raise_above_multipliers(run: Run, todo: np.ndarray, steps: list[Step | None]) -> None:
+    """Keep the penalties above the multipliers, without which the merit's minimum is not the problem's."""
+    equation = run.program.layout.equation
+    for b, step in zip(todo, steps, strict=True):
+        if step is not None and step.equations is None:
+            m = (~equation).sum()
+            largest = np.abs(step.rows[:, :m]).max(axis=0, initial=0.0)
+            run.mu[b, ~equation] = np.maximum(run.mu[b, ~equation], 1.5 * largest)
+            run.mu[b, equation] = np.maximum(run.mu[b, equation], 1.5 * np.abs(run.lam[b][:, equation]).max(initial=0.0))
+            for l, link in enumerate(step.links):
+                run.mu_links[l] = max(run.mu_links[l], 1.5 * np.abs(link).max(initial=0.0))
+
+
+def _take_multipliers(run: Run, b: int, step: Step | None) -> None:
+    assert step is not None
+    equation = run.program.layout.equation
+    m = int((~equation).sum())
+    run.lam[b][:, ~equation] = step.rows[:, :m]
+    x = run.x[b]
+    at_limit = (x <= run.program.lower + _AT) | (x >= run.program.upper - _AT)
+    run.lam_limits[b] = np.where(at_limit, step.rows[:, m:], 0.0)
+    run.lam_links = list(step.links)
+    if step.equations is not None:
+        run.lam[b][:, equation] = step.equations
+
+
+def _certify(run: Run, todo: np.ndarray, good: np.ndarray, size: np.ndarray, gave_way: list[bool]) -> None:
+    """Find the KKT residuals of the steps taken; call solved what is, and raise penalties where nothing moves."""
+    elastic_steps = np.array(gave_way)
+    for estimate, mask in ((True, good & ~elastic_steps), (False, good & elastic_steps)):
+        if mask.any():
+            run.kkt[todo[mask]] = _residual(run, todo[mask], estimate)
+    worst = _worst(run.program, run.x[todo], run.c[todo], todo)
+    feasible, flat = worst <= run.config.feasible, run.kkt[todo] <= run.config.stationary
+    run.solved[todo] = feasible & flat
+    still = (good & (size <= _STILL)) | (run.trust[todo] < run.config.least_trust) | flat
+    run.done[todo] = feasible & still
+    for i in np.flatnonzero(still & ~feasible):
+        _raise_penalties(run, todo[i])
+
+
+def _raise_penalties(run: Run, b: int) -> None:
+    """Raise the penalty of each constraint that is violated, or give up."""
+    one = np.array([b])
+    rows, links = run.program.violations(run.x[one], run.c[one], one)
+    run.raised[b] += 1
+    run.done[b] = run.raised[b] > run.config.raises
+    violated = (rows[0] > run.config.feasible).any(axis=0)
+    same = np.isin(run.program.layout.owner, run.program.layout.owner[violated])
+    run.mu[b, same] *= run.config.raise_by
+    for l, link in enumerate(links):
+        if link.max(initial=0.0) > run.config.feasible:
+            run.mu_links[l] *= run.config.raise_by
+    run.trust[b], run.kkt[b] = run.config.trust, np.inf
+
+
+def _residual(run: Run, todo: np.ndarray, estimate: bool) -> np.ndarray:
+    """Return the largest of |∇L| and |λ · slack| (b,); where asked, estimate the equations' multipliers first."""
+    equation = run.program.layout.equation
+    b, N, n = len(todo), *run.x.shape[1:]
+    A, lam = run.A[todo], run.lam[todo]
+    r = _gradient(run, todo) + run.lam_limits[todo]
+    for limit, y in zip(run.program.limits, run.lam_links, strict=True):
+        r = r + limit.transposed(y, N)
+    r = r + np.einsum("bkmj,bkm->bkj", A[:, :, ~equation], lam[:, :, ~equation])
+    if estimate and equation.any():
+        Q, R, _, _ = _factors(A[:, :, equation], np.zeros((b, N, int(equation.sum()))))
+        out = np.empty((b * N, int(equation.sum())))
+        kernels.equation_multipliers(Q, R, r.reshape(b * N, n), out)
+        lam[:, :, equation] = out.reshape(b, N, -1)
+        run.lam[todo] = lam
+    r = r + np.einsum("bkmj,bkm->bkj", A[:, :, equation], lam[:, :, equation])
+    bounds = [part.reshape(-1, *run.c.shape[1:])[todo] for part in (run.program.layout.lower, run.program.layout.upper)]
+    slack = np.where(lam > 0, bounds[1] - run.c[todo], run.c[todo] - bounds[0])
+    idle = np.abs(np.where(lam == 0, 0.0, lam) * np.where(lam == 0, 0.0, np.maximum(slack, 0.0)))
+    return np.maximum(np.abs(r).max(axis=(1, 2), initial=0.0), idle.max(axis=(1, 2), initial=0.0))
+
+
+def remember(run: Run, b: np.ndarray) -> None:
+    """Keep the best feasible point of each problem."""
+    if len(b) == 0:
+        return
+    f = run.program.objective(run.x[b], run.f[b])
+    better = (_worst(run.program, run.x[b], run.c[b], b) <= run.config.feasible) & (f < run.best[b])
+    run.best[b[better]], run.best_x[b[better]] = f[better], run.x[b[better]]
+
+
+def recall(run: Run) -> None:
+    """Go back to the best feasible point where the last one is neither solved nor feasible."""
+    b = np.arange(len(run.x))
+    behind = np.flatnonzero(
+        ~run.solved & np.isfinite(run.best) & (_worst(run.program, run.x, run.c, b) > run.config.feasible)
+    )
+    if len(behind):
+        run.x[behind] = run.best_x[behind]
+        e = run.program.evaluate(run.x[behind], behind)
+        run.f[behind], run.c[behind] = e.f.reshape(len(behind), -1), e.c.reshape(run.c[behind].shape)
+        run.g[behind], run.A[behind] = e.g.reshape(run.g[behind].shape), e.A.reshape(run.A[behind].shape)
+
+
+def state(run: Run) -> dict[str, float]:
+    """Return merit, violation, trust region and penalty of all problems, as the figure of convergence shows them."""
+    b = np.arange(len(run.x))
+    return {
+        "merit": float(_merit(run, b, run.x, run.f, run.c).sum()),
+        "violation": float(_worst(run.program, run.x, run.c, b).max()),
+        "trust": float(np.median(run.trust)),
+        "penalty": float(max(run.mu.max(initial=0.0), run.mu_links.max(initial=0.0))),
+    }
