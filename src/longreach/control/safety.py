@@ -1,0 +1,162 @@
+"""The last gate before the robot: no command beyond a limit leaves it, and where something is wrong, it brakes.
+
+Every step gives a whole command, base and arm, that the robot can do and from which it can still stop before its
+limits. A stop is braking within the acceleration limits, all joints together, to standstill. Emergency stop, contact
+and divergence hold until `reset`; the other stops end with their cause, and the robot moves again on a new command.
+
+Velocity commands start from where joint states say that the arm is; position commands from the position sent last.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.control import _limit_kernels
+from longreach.control.hardware import ArmMode, Command, Readings
+from longreach.control.safety_checks import Health, Stop, Watch, fault, grave, passing, places, watch, within
+from longreach.control.safety_config import SafetyConfig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wish:
+    """What was commanded last, and when; in position mode `arm` is a position, otherwise a velocity."""
+
+    arm: np.ndarray
+    base: np.ndarray
+    arm_stamp: float
+    base_stamp: float
+    arm_mode: ArmMode = "velocity"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SafetyState:
+    """The gate's memory; `stop` says whether and why it stops the robot, `limited` whether it held back a wish.
+
+    q (n,): where the arm is [rad], None until known; velocity (n,), twist (3,): what was sent last.
+    """
+
+    config: SafetyConfig
+    stamp: float
+    q: np.ndarray | None
+    velocity: np.ndarray
+    twist: np.ndarray
+    wish: Wish
+    watch: Watch
+    stop: Stop | None = None
+    limited: bool = False
+
+
+def init(config: SafetyConfig, now: float, q: Float[np.ndarray, " n"] | None = None) -> SafetyState:
+    """Start with the robot at rest; q (n,) [rad]: where the arm is, None: joint states will say so."""
+    joints = len(config.arm_arrays[0])
+    zero, twist = np.zeros(joints), np.zeros(3)
+    if joints == 0:
+        q = zero
+    wish = Wish(zero, twist, now, now)
+    return SafetyState(config, now, None if q is None else np.array(q), zero, twist, wish, Watch(now, {}, {}))
+
+
+def reset(state: SafetyState) -> SafetyState:
+    """Let the robot move again after a stop that holds; where its cause is still there, the next step stops again."""
+    return replace(state, stop=None, watch=replace(state.watch, streaks={}))
+
+
+def step(
+    state: SafetyState, command: Command | None, readings: Readings, health: Health, now: float
+) -> tuple[SafetyState, Command]:
+    """Return the command that may leave at `now` [s], every tick, also where there is no new command (None)."""
+    config, dt = state.config, now - state.stamp
+    seen = watch(state.watch, config, readings, health)
+    elapsed = dt if dt > 0.0 else 0.0  # 0 also where the clock gave no number
+    q = _place(state, readings, elapsed, now)
+    wish, stop = state.wish, grave(config, seen, readings, now) or passing(config, seen, health, dt, now)
+    if state.stop is not None and state.stop.latched:
+        stop = state.stop
+    if stop is None:
+        wish, stop = _taken(config, wish, command, q, now)
+    if stop is not None and state.stop is not None and state.stop.cause == stop.cause:
+        stop = stop._replace(since=state.stop.since)
+    velocity, twist, limited = _moved(state, wish, q, stop is not None, elapsed)
+    arm: np.ndarray | None = velocity
+    if wish.arm_mode == "position":
+        q = arm = None if q is None else q + velocity * elapsed
+    if stop is not None and stop.cause != "silence":
+        at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
+        wish = replace(wish, arm=at_rest, base=np.zeros(3))
+    gripper = within(config, command.gripper) if command is not None and stop is None else None
+    stamp = now if dt > 0.0 else state.stamp
+    out = Command(
+        stamp,
+        None if config.arm is None else arm,
+        wish.arm_mode,
+        None if config.base is None else twist,
+        gripper,
+    )
+    return SafetyState(config, stamp, q, velocity, twist, wish, seen, stop, limited), out
+
+
+def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.ndarray | None:
+    """Where the arm is now: as the newest joint state says, carried on by the velocity sent; (n,) or None."""
+    arm, q = state.config.arm, state.q
+    if arm is None:
+        return q
+    if q is not None and state.wish.arm_mode == "position":
+        return q
+    for record in reversed(readings.joints):
+        where = places(record.names, arm.names)
+        if where is not None and len(record.position) == len(record.names):
+            measured, age = record.position[where], now - record.stamp
+            if 0.0 <= age <= state.config.longest_tick and np.isfinite(measured).all():
+                return measured + state.velocity * min(age, dt)
+    return None if q is None else q + state.velocity * dt
+
+
+def _taken(
+    config: SafetyConfig, wish: Wish, command: Command | None, q: np.ndarray | None, now: float
+) -> tuple[Wish, Stop | None]:
+    """The wish with the new command in it, or the stop for which it cannot be."""
+    if command is not None:
+        reason = fault(config, command)
+        if reason:
+            return wish, Stop("bad command", reason, now)
+        stamp = min(command.stamp, now)
+        if command.base is not None:
+            wish = replace(wish, base=np.array(command.base), base_stamp=stamp)
+        if command.arm is not None and q is not None:
+            if command.arm_mode == "position":
+                away = float(np.abs(command.arm - q).max())
+                if away > config.position_lag:
+                    reason = f"The commanded position is {away:.2f} rad away; {config.position_lag:g} rad are allowed."
+                    return wish, Stop("bad command", reason, now)
+            wish = replace(wish, arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
+    moves = wish.base.any(), wish.arm_mode == "velocity" and wish.arm.any()
+    for moving, since in zip(moves, (wish.base_stamp, wish.arm_stamp), strict=True):
+        if moving and not now - since <= config.command_timeout:
+            return wish, Stop("silence", f"There was no command for {now - since:.2f} s.", now)
+    return wish, None
+
+
+def _moved(
+    state: SafetyState, wish: Wish, q: np.ndarray | None, stopping: bool, dt: float
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """The velocities of arm and base that may be sent, and whether they are less than the wish."""
+    config = state.config
+    velocity, twist = np.zeros(len(state.velocity)), np.zeros(3)
+    lower, upper, v_max, a_max = config.arm_arrays
+    hold, held = config.longest_tick, False
+    if q is not None and len(q):
+        v = np.zeros(len(q))
+        if wish.arm_mode == "position":
+            hold += dt  # the position sent is reached by then
+            if not stopping and dt > 0.0:
+                before = state.wish.arm if state.wish.arm_mode == "position" else q
+                _limit_kernels.follow(wish.arm, before, q, dt, a_max, v)
+        elif not stopping:
+            v = wish.arm
+        held = _limit_kernels.limit(v, state.velocity, dt, hold, v_max, a_max, q - lower, upper - q, velocity)
+    if config.base is not None:
+        v_max, a_max, room = config.base_arrays
+        v = np.zeros(3) if stopping else wish.base
+        held |= _limit_kernels.limit(v, state.twist, dt, config.longest_tick, v_max, a_max, room, room, twist)
+    return velocity, twist, held and not stopping

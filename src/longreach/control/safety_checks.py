@@ -1,0 +1,141 @@
+"""The reasons for which the safety gate stops the robot, each a sentence, the gravest first."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from longreach.control.hardware import Command, GripperCommand, Readings
+from longreach.control.safety_config import SafetyConfig
+
+Cause = Literal[
+    "emergency stop", "contact", "divergence", "late tick", "stale data", "client gone", "bad command", "silence"
+]
+
+
+class Stop(NamedTuple):
+    """Why the robot is being stopped, since when [s], and whether it stays so until `reset`."""
+
+    cause: Cause
+    reason: str
+    since: float
+    latched: bool = False
+
+
+class Innovation(NamedTuple):
+    """How far one measurement was from what the estimate expected, as the filter reported it."""
+
+    source: str
+    nis: float
+    dof: int
+
+
+class Health(NamedTuple):
+    """What is known of the estimate and of the client: new innovations, and when the client was heard last [s]."""
+
+    innovations: tuple[Innovation, ...] = ()
+    heartbeat: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watch:
+    """What the checks remember: the stamp of each source's newest reading [s], and each streak of high NIS."""
+
+    since: float
+    seen: Mapping[str, float]
+    streaks: Mapping[str, int]
+
+
+def watch(state: Watch, config: SafetyConfig, readings: Readings, health: Health) -> Watch:
+    """Take note of what came in; a record with a number that is not finite did not come (a scan's may)."""
+    seen = state.seen
+    for source in config.stale_after:
+        usable = [r.stamp for r in getattr(readings, source) if _finite(source, r)]
+        if usable:
+            seen = {**seen, source: usable[-1]}
+    if not health.innovations:
+        return replace(state, seen=seen) if seen is not state.seen else state
+    streaks = dict(state.streaks)
+    for source, nis, dof in health.innovations:
+        if dof > 0:
+            streaks[source] = 0 if nis <= config.nis_bound(dof) else streaks.get(source, 0) + 1
+    return Watch(state.since, seen, streaks)
+
+
+_NUMBERS = {"imu": ("angular_velocity", "acceleration"), "joints": ("position",), "wrenches": ("force", "torque")}
+
+
+def _finite(source: str, record: Any) -> bool:
+    if not math.isfinite(record.stamp):
+        return False
+    names = _NUMBERS.get(source, ())
+    if source == "wheels":
+        names = [name for name in ("speeds", "ticks", "twist", "pose") if getattr(record, name, None) is not None]
+    return all(bool(np.isfinite(getattr(record, name)).all()) for name in names)
+
+
+def grave(config: SafetyConfig, state: Watch, readings: Readings, now: float) -> Stop | None:
+    """Return the stop that holds until it is reset: emergency stop, contact, divergence."""
+    if readings.emergency_stop:
+        return Stop("emergency stop", "The emergency stop is pressed.", now, True)
+    for wrench in readings.wrenches:
+        force, torque = math.hypot(*wrench.force.tolist()), math.hypot(*wrench.torque.tolist())
+        if force > config.force_limit:
+            reason = f"The tool touches something: {force:.0f} N, the limit is {config.force_limit:g} N."
+            return Stop("contact", reason, now, True)
+        if torque > config.torque_limit:
+            reason = f"The tool touches something: {torque:.1f} N·m, the limit is {config.torque_limit:g} N·m."
+            return Stop("contact", reason, now, True)
+    for source, streak in state.streaks.items():
+        if streak >= config.divergence_streak:
+            reason = f"The estimate has diverged: {streak} measurements of {source} in a row are far from it."
+            return Stop("divergence", reason, now, True)
+    return None
+
+
+def passing(config: SafetyConfig, state: Watch, health: Health, dt: float, now: float) -> Stop | None:
+    """Return the stop that ends with its cause: a late tick, stale data, a client that is gone."""
+    if not 0.0 <= dt <= config.longest_tick:
+        reason = f"{dt:.3f} s went by since the last tick; {config.longest_tick:g} s are allowed."
+        return Stop("late tick", reason, now)
+    for source, patience in config.stale_after.items():
+        age = now - state.seen.get(source, state.since)
+        if not abs(age) <= patience:
+            return Stop("stale data", f"The newest of {source} is {age:.3f} s old; {patience:g} s are allowed.", now)
+    if config.heartbeat_timeout is not None:
+        heard = state.since if health.heartbeat is None else health.heartbeat
+        if not now - heard <= config.heartbeat_timeout:
+            return Stop("client gone", f"The client was not heard for {now - heard:.2f} s.", now)
+    return None
+
+
+def fault(config: SafetyConfig, command: Command) -> str:
+    """Return why a command cannot be used, or an empty string."""
+    arm, base, gripper = command.arm, command.base, command.gripper
+    joints = 0 if config.arm is None else len(config.arm.names)
+    if arm is not None and len(arm) != joints:
+        return f"The command's arm has {len(arm)} numbers, but the arm has {joints} joints."
+    if base is not None and config.base is None:
+        return "The command moves a base, but there is none."
+    finite = (arm is None or np.isfinite(arm).all()) and (base is None or np.isfinite(base).all())
+    if not (finite and (gripper is None or math.isfinite(gripper.value))):
+        return "The command has a number that is not finite."
+    return ""
+
+
+def within(config: SafetyConfig, wish: GripperCommand | None) -> GripperCommand | None:
+    """Return the gripper's command within its limits."""
+    if wish is None:
+        return None
+    top = {"velocity": config.gripper_velocity, "force": config.gripper_force}.get(wish.mode)
+    low, high = (0.0, 1.0) if top is None else (-top, top)
+    return GripperCommand(wish.mode, min(max(wish.value, low), high))
+
+
+@lru_cache(maxsize=64)
+def places(names: tuple[str, ...], arm: tuple[str, ...]) -> list[int] | None:
+    """Return where a joint state of `names` holds the arm's joints, or None where it does not hold them all."""
+    return [names.index(name) for name in arm] if set(arm) <= set(names) else None

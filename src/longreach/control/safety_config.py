@@ -1,0 +1,134 @@
+"""What the safety gate holds the robot to; a robot's own limits come from its hardware's promises."""
+
+import math
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from longreach.control.hardware import Promises
+
+Source = Literal["wheels", "scans", "imu", "joints", "wrenches"]
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Bound = Annotated[float, Field(allow_inf_nan=True)]
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ArmLimits(_Settings):
+    """What the arm's joints may do, one number a joint."""
+
+    names: tuple[str, ...] = Field(description="The joints as joint states name them, in the order of commands.")
+    lower: tuple[_Bound, ...] = Field(description="Least position [rad]; -.inf: none.")
+    upper: tuple[_Bound, ...] = Field(description="Largest position [rad]; .inf: none.")
+    velocity: tuple[_Positive, ...] = Field(description="Top speed [rad/s].")
+    acceleration: tuple[_Positive, ...] = Field(description="Hardest acceleration, also when braking [rad/s²].")
+
+    @model_validator(mode="after")
+    def _one_number_a_joint(self) -> "ArmLimits":
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            if len(getattr(self, name)) != len(self.names):
+                raise ValueError(f"{name} has {len(getattr(self, name))} numbers for {len(self.names)} joints")
+        if not all(a < b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise ValueError("every lower limit must be below its upper one")
+        return self
+
+
+class BaseLimits(_Settings):
+    """What the base may do along x, y and about z."""
+
+    velocity: tuple[_Positive, _Positive, _Positive] = Field(description="Top speed [m/s, m/s, rad/s].")
+    acceleration: tuple[_Positive, _Positive, _Positive] = Field(
+        description="Hardest acceleration, also when braking [m/s², m/s², rad/s²]."
+    )
+
+
+class SafetyConfig(_Settings):
+    """Settings of the last gate before the robot."""
+
+    arm: ArmLimits | None = Field(default=None, description="Limits of the arm; null: there is none.")
+    base: BaseLimits | None = Field(default=None, description="Limits of the base; null: it is bolted down.")
+    position_margin: float = Field(
+        default=0.01, ge=0, allow_inf_nan=False, description="Joints stay this far within their limits [rad]; ours."
+    )
+    position_lag: _Positive = Field(
+        default=0.3, description="A commanded position further away than this is not followed [rad]; ours."
+    )
+    longest_tick: _Positive = Field(
+        default=0.04, description="For how long a command may last before the next [s]; five ticks at 125 Hz, ours."
+    )
+    command_timeout: _Positive = Field(
+        default=0.25, description="Velocities older than this are a stop [s]; the Ridgeback's driver."
+    )
+    stale_after: dict[Source, _Positive] = Field(
+        default={"joints": 0.1, "wheels": 0.2, "scans": 0.25},
+        description="Sensors that must be heard, and for how long they may be silent [s]; ten periods, ours.",
+    )
+    heartbeat_timeout: _Positive | None = Field(
+        default=None, description="For how long the client may be silent [s]; null: no client is watched."
+    )
+    force_limit: _Positive = Field(
+        default=100.0, description="Force on the tool that is a contact [N]; a third of the FT300's range, ours."
+    )
+    torque_limit: _Positive = Field(
+        default=15.0, description="Torque on the tool that is a contact [N·m]; half of the FT300's range, ours."
+    )
+    divergence_probability: float = Field(
+        default=1.0 - 1e-4, gt=0, lt=1, description="Share of good measurements whose NIS is below the bound; ours."
+    )
+    divergence_streak: int = Field(
+        default=15, ge=1, description="Measurements of one source above it in a row that mean divergence; ours."
+    )
+    gripper_velocity: _Positive = Field(default=1.0, description="Top speed of the fingers [1/s]; ours.")
+    gripper_force: _Positive = Field(default=60.0, description="Force at the tips [N]; the Robotiq 3-finger's.")
+
+    @cached_property
+    def _bounds(self) -> tuple[float, ...]:
+        from scipy.special import gammaincinv  # the χ² quantile, without the weight of scipy.stats
+
+        return tuple(2.0 * float(gammaincinv(0.5 * k, self.divergence_probability)) for k in range(1, 16))
+
+    def nis_bound(self, dof: int) -> float:
+        """Return the bound on the NIS of a measurement of `dof` components, at most 15."""
+        return self._bounds[min(dof, 15) - 1]
+
+    @cached_property
+    def arm_arrays(self) -> tuple[np.ndarray, ...]:
+        """Lower and upper limits with the margin taken off, velocities, accelerations, each (n,)."""
+        arm = self.arm
+        if arm is None:
+            return tuple(np.zeros(0) for _ in range(4))
+        margin = self.position_margin
+        limits = (np.array(arm.lower) + margin, np.array(arm.upper) - margin, arm.velocity, arm.acceleration)
+        return tuple(np.array(limit, dtype=float) for limit in limits)
+
+    @cached_property
+    def base_arrays(self) -> tuple[np.ndarray, ...]:
+        """Velocities, accelerations and endless room, each (3,)."""
+        base = self.base
+        if base is None:
+            return tuple(np.zeros(3) for _ in range(3))
+        return np.array(base.velocity), np.array(base.acceleration), np.full(3, math.inf)
+
+
+def limits_of(promises: Promises, config: SafetyConfig | None = None) -> SafetyConfig:
+    """Return the configuration with the limits of a robot's arm and base wherever it has none of its own."""
+    config = config or SafetyConfig()
+    changes: dict[str, ArmLimits | BaseLimits] = {}
+    limits = promises.arm_limits
+    if config.arm is None and promises.arm_names:
+        changes["arm"] = ArmLimits(
+            names=promises.arm_names,
+            lower=tuple(limits.lower.tolist()),
+            upper=tuple(limits.upper.tolist()),
+            velocity=tuple(limits.velocity.tolist()),
+            acceleration=tuple(limits.acceleration.tolist()),
+        )
+    if config.base is None and promises.base_velocity is not None and promises.base_acceleration is not None:
+        changes["base"] = BaseLimits.model_validate(
+            {"velocity": promises.base_velocity.tolist(), "acceleration": promises.base_acceleration.tolist()}
+        )
+    return config.model_copy(update=changes)
