@@ -1,0 +1,214 @@
+"""What the simulated sensors make of the true motion: noise, quantisation, sweeps; and when their readings arrive.
+
+Each sensor draws from its own stream of random numbers, so that one that is left out changes nothing in the others.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.control.hardware import GripperState, Wrench
+from longreach.geometry import se2
+from longreach.measurement import Imu, JointState, LaserScan, WheelSpeeds, WheelTicks
+from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount
+from longreach.sim._sweep_kernels import sweep
+
+_BEAMS = 1081
+_FIRST_BEAM = math.radians(-135.0)  # of a scanner whose description does not say it
+_ROUNDING = 1e-9
+
+
+class Timing(BaseModel):
+    """When a sensor reads, how late that arrives, and how much of it never does."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    rate: float = Field(gt=0, le=1000, description="Readings a second [Hz].")
+    latency: float = Field(default=0.002, ge=0, description="From a reading's end to its arrival [s]; ours.")
+    jitter: float = Field(default=0.0, ge=0, description="Up to how much later it may arrive [s]; ours.")
+    dropout: float = Field(default=0.0, ge=0, le=1, description="Part of the readings that never arrive [1].")
+
+
+class LidarTiming(Timing):
+    """The UST-10LX turns 40 times a second; sweeping 270° takes 18.75 ms of 25."""
+
+    rate: float = Field(default=40.0, gt=0, le=1000, description="Sweeps a second [Hz]; the data sheet's.")
+    latency: float = Field(default=0.005, ge=0, description="From the last beam to the scan's arrival [s]; ours.")
+    range_deviation: float = Field(default=0.01, ge=0, description="Of a range [m]; fair for a UST-10LX.")
+    lost_beams: float = Field(default=0.002, ge=0, le=1, description="Part of the beams without a return [1]; ours.")
+
+
+class JointTiming(Timing):
+    """The UR10's controller."""
+
+    rate: float = Field(default=125.0, gt=0, le=1000, description="Readings a second [Hz]; the UR10's.")
+    position_deviation: float = Field(default=2e-5, ge=0, description="Of an angle [rad]; ours, 20 µm at 1 m.")
+    velocity_deviation: float = Field(default=1e-3, ge=0, description="Of a speed [rad/s]; ours.")
+
+
+class WrenchTiming(Timing):
+    """Robotiq's FT300."""
+
+    rate: float = Field(default=100.0, gt=0, le=1000, description="Readings a second [Hz]; the data sheet's.")
+    force_deviation: float = Field(default=0.1, ge=0, description="Of a force [N]; the data sheet's.")
+    torque_deviation: float = Field(default=0.005, ge=0, description="Of a torque [N m]; the data sheet's.")
+
+
+class SensorConfig(BaseModel):
+    """All sensors of a simulated robot; the IMU's noise is that of the robot's description."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    wheels: Timing = Field(default=Timing(rate=50.0), description="Encoders; the Ridgeback's 50 Hz.")
+    lidar: LidarTiming = Field(default=LidarTiming(), description="Planar laser scanner.")
+    imu: Timing = Field(default=Timing(rate=100.0), description="Inertial unit; a usual rate.")
+    joints: JointTiming = Field(default=JointTiming(), description="Arm and fingers.")
+    wrench: WrenchTiming = Field(default=WrenchTiming(), description="Force-torque sensor.")
+    truth: Timing = Field(default=Timing(rate=100.0, latency=0.0), description="Motion capture; its usual 100 Hz.")
+
+
+@dataclass
+class Line:
+    """One sensor's schedule and what is under way from it: (arrival, reading), in the order of their stamps."""
+
+    timing: Timing
+    rng: np.random.Generator
+    count: int = 0
+    arrived: float = 0.0  # of the latest reading [s]: none overtakes another
+    waiting: list[tuple[float, Any]] = field(default_factory=list)
+
+    @property
+    def due(self) -> float:
+        """Stamp of the next reading [s]."""
+        return self.count / self.timing.rate
+
+    def send(self, reading: Any, end: float) -> None:
+        """Put a reading on its way that was finished at `end` [s], or lose it."""
+        lost, late = self.rng.random(2)
+        if lost < self.timing.dropout:
+            return
+        self.arrived = max(self.arrived, end + self.timing.latency + late * self.timing.jitter)
+        self.waiting.append((self.arrived, reading))
+
+    def take(self, now: float) -> tuple[Any, ...]:
+        """Return what has arrived by `now` [s]."""
+        n = sum(1 for arrival, _ in self.waiting if arrival <= now + _ROUNDING)
+        taken, self.waiting = self.waiting[:n], self.waiting[n:]
+        return tuple(reading for _, reading in taken)
+
+
+def read_wheels(
+    stamp: float, angles: Float[np.ndarray, " k"], speeds: Float[np.ndarray, " k"], encoder: Encoder
+) -> WheelTicks | WheelSpeeds:
+    """Return what an encoder's message holds of the wheels' angles [rad] and speeds [rad/s]."""
+    if encoder.signal == "speed":
+        return WheelSpeeds(stamp, speeds)
+    if encoder.resolution is None:
+        return WheelTicks(stamp, angles)
+    return WheelTicks(stamp, encoder.resolution / encoder.radians_per_tick * np.floor(angles / encoder.resolution))
+
+
+@dataclass(frozen=True, eq=False)
+class Scanner:
+    """A planar scanner in front of the walls that its beams can meet; angles (b,) [rad]."""
+
+    lidar: Lidar
+    timing: LidarTiming
+    walls: Float[np.ndarray, "m 4"]
+    angles: Float[np.ndarray, " b"]
+
+    @classmethod
+    def of(cls, lidar: Lidar, timing: LidarTiming, walls: Float[np.ndarray, "m 4"]) -> "Scanner":
+        """Return the scanner of a description; what that does not say is the UST-10LX's."""
+        first = _FIRST_BEAM if lidar.angle_min is None else lidar.angle_min
+        beams = _BEAMS if lidar.angle_increment is None else round(-2.0 * first / lidar.angle_increment) + 1
+        return cls(lidar, timing, walls, first - 2.0 * first / (beams - 1) * np.arange(beams))
+
+    @property
+    def beam_time(self) -> float:
+        """From one beam to the next [s]: a full turn takes the whole period."""
+        return float(self.angles[1] - self.angles[0]) / (2 * math.pi * self.timing.rate)
+
+    @property
+    def duration(self) -> float:
+        """From the first beam to the last [s]."""
+        return (len(self.angles) - 1) * self.beam_time
+
+    def read(
+        self, stamp: float, first: float, dt: float, bases: Float[np.ndarray, "n 3"], rng: np.random.Generator
+    ) -> LaserScan:
+        """Sweep while the base passes through `bases`, its poses at first + i dt [s], headings not wrapped."""
+        T_base_laser = se2.from_se3((self.lidar.mount or Mount()).matrix())
+        lasers = se2.compose(bases, T_base_laser)
+        lasers[:, 2] = bases[:, 2] + T_base_laser[2]
+        ranges = np.empty(len(self.angles))
+        sweep(lasers, first, dt, stamp, self.beam_time, self.angles, self.walls, ranges)
+        ranges += self.timing.range_deviation * rng.standard_normal(len(ranges))
+        nearest, farthest = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf
+        ranges[rng.random(len(ranges)) < self.timing.lost_beams] = math.inf
+        ranges[(ranges < nearest) | (ranges > farthest)] = math.inf
+        increment = float(self.angles[1] - self.angles[0])
+        frame, start = self.lidar.frame or "laser", float(self.angles[0])
+        return LaserScan(stamp, ranges, start, increment, nearest, farthest, self.beam_time, frame)
+
+
+@dataclass
+class Gyro:
+    """An inertial unit: its bias [rad/s] walks."""
+
+    sensor: ImuSensor
+    rate: float
+    rng: np.random.Generator
+    bias: Float[np.ndarray, "3"] | None = None
+
+    def read(self, stamp: float, rates: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"]) -> Imu:
+        """Return a reading of angular velocity [rad/s] and specific force [m/s²], both in the sensor's frame."""
+        sensor, draws = self.sensor, self.rng.standard_normal((3, 3))
+        walked = draws[0] * sensor.gyro_bias_walk / math.sqrt(self.rate)
+        self.bias = draws[0] * sensor.gyro_bias_deviation if self.bias is None else self.bias + walked
+        noisy = rates + self.bias + sensor.gyro_deviation * draws[1]
+        return Imu(stamp, noisy, force + sensor.acceleration_deviation * draws[2], sensor.frame or "imu")
+
+
+def read_joints(
+    stamp: float, names: tuple[str, ...], values: Float[np.ndarray, "3 n"], timing: JointTiming, rng: np.random.Generator
+) -> JointState:
+    """Return angles [rad], speeds [rad/s] and torques [N m] of joints as their controller tells them."""
+    noise = rng.standard_normal((2, len(names)))
+    position = values[0] + timing.position_deviation * noise[0]
+    return JointState(stamp, names, position, values[1] + timing.velocity_deviation * noise[1], values[2])
+
+
+def read_wrench(
+    stamp: float,
+    held: Float[np.ndarray, "6"],
+    weight: Float[np.ndarray, "3"],
+    centre: Float[np.ndarray, "3"],
+    timing: WrenchTiming,
+    rng: np.random.Generator,
+) -> Wrench:
+    """Return what the surroundings do to the tool: the opposite of what the arm holds it with, less its weight.
+
+    held: force [N] and torque [N m] that the arm exerts on what hangs on the sensor. weight: of that, acting at
+    `centre` [m], as the driver knows it. All in the sensor's frame.
+    """
+    noise = rng.standard_normal((2, 3))
+    force = -held[:3] - weight + timing.force_deviation * noise[0]
+    torque = -held[3:] - np.cross(centre, weight) + timing.torque_deviation * noise[1]
+    return Wrench(stamp, force, torque)
+
+
+def gripper_state(joints: JointState, fingers: int, closed: Float[np.ndarray, " k"], lever: float) -> GripperState:
+    """Return how far the fingers, the last joints, are closed, of angles `closed` [rad], and with what force [N].
+
+    lever: of a finger, from its tip to its joint [m].
+    """
+    moving = closed > 0
+    part = joints.position[-fingers:][moving] / closed[moving]
+    speed = joints.velocity[-fingers:][moving] / closed[moving]
+    force = np.abs(joints.effort[-fingers:][moving]).mean() / lever
+    return GripperState(joints.stamp, float(part.mean()), float(speed.mean()), float(force))
