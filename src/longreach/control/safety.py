@@ -7,6 +7,7 @@ and divergence hold until `reset`; the other stops end with their cause, and the
 Velocity commands start from where joint states say that the arm is; position commands from the position sent last.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,7 +69,7 @@ def step(
     """Return the command that may leave at `now` [s], every tick, also where there is no new command (None)."""
     config, dt = state.config, now - state.stamp
     seen = watch(state.watch, config, readings, health)
-    elapsed = dt if dt > 0.0 else 0.0  # 0 also where the clock gave no number
+    elapsed = min(dt, config.command_timeout) if dt > 0.0 else 0.0  # 0 also where the clock gave no number
     q = _place(state, readings, elapsed, now)
     wish, stop = state.wish, grave(config, seen, readings, now) or passing(config, seen, health, dt, now)
     if state.stop is not None and state.stop.latched:
@@ -85,7 +86,7 @@ def step(
         at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
         wish = replace(wish, arm=at_rest, base=np.zeros(3))
     gripper = within(config, command.gripper) if command is not None and stop is None else None
-    stamp = now if dt > 0.0 else state.stamp
+    stamp = now if math.isfinite(now) else state.stamp
     out = Command(
         stamp,
         None if config.arm is None else arm,
