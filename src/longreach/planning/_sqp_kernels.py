@@ -135,3 +135,60 @@ def correct(A, r, used, d):
             y[i] /= L[i, i]
             for l in range(n):
                 d[w, l] += A[w, rows[i], l] * y[i]
+
+
+@kernel
+def _factor_row(B, L, i):
+    """Fill row i of the banded Cholesky factor L of the banded lower matrix B; return whether there is one.
+
+    B[i, w - 1 - o] and L[i, w - 1 - o] are the entries (i, i - o), w the width of the band.
+    """
+    w = B.shape[1]
+    for o in range(min(i, w - 1), -1, -1):
+        j = i - o
+        total = B[i, w - 1 - o]
+        for l in range(max(0, i - w + 1, j - w + 1), j):
+            total -= L[i, w - 1 - i + l] * L[j, w - 1 - j + l]
+        if o == 0:
+            if total <= 0.0:
+                return False
+            L[i, w - 1] = math.sqrt(total)
+        else:
+            L[i, w - 1 - o] = total / L[j, w - 1]
+    return True
+
+
+@kernel
+def mend(H, convex, band, floor):
+    """Put blocks of `convex` (N, p, p) for those of H (N, p, p) until H + links' curvature is convex.
+
+    band (N p, width): the links' curvature, banded as `_factor_row` has it. Where factoring fails, the last waypoint
+    that can give way does. No eigenvalue is below the floor then; return whether it came out.
+    """
+    N, p, _ = H.shape
+    w = band.shape[1]
+    B, L = band.copy(), np.zeros(band.shape)
+    mended = np.zeros(N, dtype=np.bool_)
+    for k in range(N):
+        for a in range(p):
+            for b in range(a + 1):
+                B[k * p + a, w - 1 - a + b] += H[k, a, b] - (floor if a == b else 0.0)
+    k = 0
+    while k < N:
+        fine = True
+        for a in range(p):
+            fine = fine and _factor_row(B, L, k * p + a)
+        if fine:
+            k += 1
+            continue
+        while k >= 0 and mended[k]:
+            k -= 1
+        if k < 0:
+            return False
+        mended[k] = True
+        for a in range(p):
+            for b in range(p):
+                if b <= a:
+                    B[k * p + a, w - 1 - a + b] += convex[k, a, b] - H[k, a, b]
+                H[k, a, b] = convex[k, a, b]
+    return True

@@ -37,8 +37,8 @@ def elastic(
         D = sp.kron(_matrix(cost.coefficients, N), sp.eye(n))
         P = P + cost.curvature * (D.T @ D)
     P = sp.block_diag([P, _FLOOR * sp.eye(2 * m)])
-    lower = np.concatenate([q.lower[:, r:].ravel(), np.zeros(2 * m)])
-    upper = np.concatenate([q.upper[:, r:].ravel(), np.full(2 * m, np.inf)])
+    lower = np.concatenate([np.maximum(q.lower[:, r:], -q.reach).ravel(), np.zeros(2 * m)])
+    upper = np.concatenate([np.minimum(q.upper[:, r:], q.reach).ravel(), np.full(2 * m, np.inf)])
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 100 * _EXACT
     equations, others = G[: N * e].tocsc(), G[N * e :].tocsc()

@@ -58,9 +58,13 @@ class Smoothness(Link):
 
 @dataclass(frozen=True, eq=False)
 class StepLimit(LinkLimit):
-    """No joint goes farther than `step` [rad or m] from one waypoint to the next."""
+    """No joint goes farther than `step` [rad or m] from one waypoint to the next.
+
+    room: a plan allows at least so many times the largest step of its start, whose waypoints may lie far apart.
+    """
 
     step: float
+    room: float = 0.0
     name: str = field(default="step", kw_only=True)
 
     def __post_init__(self) -> None:

@@ -17,6 +17,9 @@ from longreach.planning import sqp_rounds as rounds
 from longreach.planning.program import Program
 from longreach.planning.subproblem import Sequence
 
+_TRIAL = 2  # rounds before rivals are compared
+_CLEARLY = 2e-3  # of the merit: what is behind by that much will not win
+
 
 class SqpConfig(BaseModel):
     """How Algorithm 2 goes on; most defaults are TrajOpt's (Schulman 2013)."""
@@ -94,17 +97,27 @@ def start(program: Program, x0: Float[np.ndarray, "B N n"], config: SqpConfig) -
     )  # fmt: skip
 
 
-def solve(program: Program, x0: Float[np.ndarray, "B N n"], config: SqpConfig) -> Run:
-    """Go on until all problems are done, or the iterations or the time run out."""
+def solve(
+    program: Program,
+    x0: Float[np.ndarray, "B N n"],
+    config: SqpConfig,
+    rivals: Int[np.ndarray, " B"] | None = None,
+) -> Run:
+    """Go on until all problems are done, or the iterations or the time run out.
+
+    rivals (B,): problems of the same number compete: those clearly behind after some rounds are given up.
+    """
     began = time.perf_counter()
     run = start(program, x0, config)
     rounds.remember(run, np.arange(len(run.x)))
-    for _ in range(config.iterations):
+    for i in range(config.iterations):
         todo = np.flatnonzero(~run.done)
         model = rounds.convexify(run, todo)
         steps = rounds.minimise(run, todo, model)
         rounds.attempt(run, todo, model, steps)
         run.history.append(rounds.state(run))
+        if rivals is not None and i + 1 >= _TRIAL:
+            run.done |= rounds.behind(run, rivals, _CLEARLY if i < 2 * _TRIAL else 0.0)
         if run.done.all():
             break
         if time.perf_counter() - began > config.budget:

@@ -11,15 +11,19 @@ from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.elastic import elastic
 from longreach.planning.problem import bending
 from longreach.planning.program import Program
-from longreach.planning.subproblem import Step, Subproblem, one_waypoint
+from longreach.planning.subproblem import Difference, Step, Subproblem, banded, link_bands, one_waypoint
 
 if TYPE_CHECKING:
     from longreach.planning.sqp import Run
 
 _DIFFERENCE = 1e-6  # [rad, m] between the gradients whose difference is the curvature
 _ROUNDING = 1e-12  # of the merit: an improvement less than that cannot be seen
+_NEAR = 1e-3  # a KKT residual below which the curvature changes no more
 _STILL = 1e-11  # [rad, m], a step that is none
 _HOLDS = 1e-6  # a multiplier that is more than rounding
+_HELD = 10.0  # curvature across inequalities that hold, in the Lagrangian's own
+_SURELY = 1e-4  # curvature of a subproblem at the least, where it is convex only all in all
+_ABOVE = 1.5  # by which penalties are above multipliers
 _AT = 1e-9  # [rad, m] from a limit that counts as on it
 
 
@@ -34,6 +38,28 @@ class Model:
     lower: np.ndarray
     upper: np.ndarray
     independent: np.ndarray
+
+
+@dataclass(eq=False)
+class Steps:
+    """What the subproblems answered: d (b, N, n), multipliers of rows (b, N, r), of equations (b, N, e), of links.
+
+    gave_way (b,): whether rows contradicted each other, so that they had to; found (b,): whether there is an answer.
+    """
+
+    d: np.ndarray
+    rows: np.ndarray
+    equations: np.ndarray
+    gave_way: np.ndarray
+    found: np.ndarray
+    links: tuple[np.ndarray, ...] | None = None
+
+    def put(self, i: int, step: Step | None) -> None:
+        """Enter the answer for one problem."""
+        if step is not None:
+            self.d[i], self.rows[i], self.links, self.found[i] = step.d, step.rows, step.links, True
+            if step.equations is not None:
+                self.equations[i] = step.equations
 
 
 def _factors(A: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -63,11 +89,11 @@ def convexify(run: Run, todo: np.ndarray) -> Model:
     Z = np.ascontiguousarray(Q[:, :, equation.sum() :]).reshape(b, N, n, -1)
     renew = run.fresh[todo]
     if renew.any():
-        run.H[todo[renew]] = _curvature(run, todo[renew], Z[renew])
+        H = _curvature(run, todo[renew], Z[renew])
+        convex = _convex(H, run.config.curvature_floor)
+        run.H[todo[renew]] = _together(H, convex, Z, program.costs) if N > 1 else convex
         run.fresh[todo] = False
-    delta = run.trust[todo, None, None]
-    x = run.x[todo]
-    low, high = np.maximum(program.lower - x, -delta), np.minimum(program.upper - x, delta)
+    low, high = program.lower - run.x[todo], program.upper - run.x[todo]
     upper = program.layout.upper.reshape(-1, N, len(equation))[todo]
     G = np.concatenate([A[:, :, ~equation], np.broadcast_to(np.eye(n), (b, N, n, n))], axis=2)
     return Model(
@@ -91,36 +117,68 @@ def _curvature(run: Run, todo: np.ndarray, Z: np.ndarray) -> np.ndarray:
     moved = e.g.reshape(b, p, N, n) + pull[..., 0]
     here = run.g[todo] + (np.swapaxes(run.A[todo], 2, 3) @ lam[..., None])[..., 0]
     H = np.einsum("bkja,bckj->bkac", Z, moved - here[:, None]) / _DIFFERENCE
-    s, V = np.linalg.eigh(0.5 * (H + np.swapaxes(H, 2, 3)))
-    return (V * np.maximum(s, run.config.curvature_floor)[:, :, None, :]) @ np.swapaxes(V, 2, 3)
+    H = 0.5 * (H + np.swapaxes(H, 2, 3))
+    return H + _held(run, todo, Z, np.abs(H).max(axis=(2, 3), initial=1.0))
 
 
-def minimise(run: Run, todo: np.ndarray, model: Model) -> list[Step | None]:
+def _held(run: Run, todo: np.ndarray, Z: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return curvature (b, N, p, p) across the inequalities that hold, which their holding makes of no account.
+
+    Where the Lagrangian is concave across them and convex along, as at most optima, the sum is convex.
+    """
+    equation = run.program.layout.equation
+    a = run.A[todo][:, :, ~equation] @ Z
+    square = np.sum(a**2, axis=3)
+    holds = (np.abs(run.lam[todo][:, :, ~equation]) > _HOLDS) & (square > 1e-12)
+    weight = np.where(holds, _HELD * scale[:, :, None] / np.maximum(square, 1e-12), 0.0)
+    return np.swapaxes(a, 2, 3) @ (weight[..., None] * a)
+
+
+def _convex(H: np.ndarray, floor: float) -> np.ndarray:
+    """Return H (..., p, p) with its eigenvalues lifted to the floor."""
+    s, V = np.linalg.eigh(H)
+    return (V * np.maximum(s, floor)[..., None, :]) @ np.swapaxes(V, -1, -2)
+
+
+def _together(H: np.ndarray, convex: np.ndarray, Z: np.ndarray, costs: tuple[Difference, ...]) -> np.ndarray:
+    """Return curvature (1, N, p, p) that is convex with the links' all in all: a waypoint's own where need be."""
+    mixed = H[0].copy()
+    fine = kernels.mend(mixed, convex[0], banded(link_bands(Z[0], costs)), _SURELY)
+    return mixed[None] if fine else convex
+
+
+def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
     """Return the subproblems' solutions (4.22)."""
-    N = run.x.shape[1]
-    alone = N == 1
-    if alone:
+    layout = run.program.layout
+    b, N, r = model.lower.shape
+    y, d = np.zeros((b, N, r)), np.zeros_like(model.d0)
+    steps = Steps(d, y, np.zeros((b, N, int(layout.equation.sum()))), np.zeros(b, dtype=bool), np.zeros(b, dtype=bool))
+    if N == 1:
         gz = np.einsum("bjp,bj->bp", model.Z[:, 0], model.g[:, 0])
         GZ = model.G[:, 0] @ model.Z[:, 0]
-        at = np.einsum("brj,bj->br", model.G[:, 0], model.d0[:, 0])
-        low, high = model.lower[:, 0] - at, model.upper[:, 0] - at
-    steps: list[Step | None] = []
-    for i, b in enumerate(todo):
-        step = None
-        if model.independent[i] and alone:
-            found = one_waypoint(run.H[b, 0], gz[i], GZ[i], low[i], high[i])
+        at = (model.G[:, 0] @ model.d0[:, 0, :, None])[:, :, 0]
+        delta = np.repeat(run.trust[todo, None], gz.shape[1], axis=1)
+        low = np.hstack([-delta, model.lower[:, 0] - at])
+        high = np.hstack([delta, model.upper[:, 0] - at])
+        z = np.zeros_like(gz)
+        for i in np.flatnonzero(model.independent):
+            found = one_waypoint(run.H[todo[i], 0], gz[i], GZ[i], low[i], high[i])
             if found is not None:
-                step = Step(model.d0[i] + model.Z[i, 0] @ found[0], found[1][None])
-        elif model.independent[i]:
-            step = run.sequence.solve(_subproblem(run, b, i, model))
-        steps.append(step or _give_way(run, b, i, model))
+                z[i], y[i, 0] = found
+                steps.found[i] = True
+        d[:] = model.d0 + (model.Z @ z[:, None, :, None])[..., 0]
+    elif model.independent[0]:
+        steps.put(0, run.sequence.solve(_subproblem(run, todo[0], 0, model)))
+    for i in np.flatnonzero(~steps.found):
+        steps.gave_way[i] = True
+        steps.put(i, _give_way(run, todo[i], i, model))
     return steps
 
 
 def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
     limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
     parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
-    return Subproblem(*parts, run.program.costs, limits)
+    return Subproblem(*parts, run.trust[b], run.program.costs, limits)
 
 
 def _give_way(run: Run, b: int, i: int, model: Model) -> Step | None:
@@ -145,12 +203,11 @@ def _worst(program: Program, x: np.ndarray, c: np.ndarray, b: np.ndarray) -> np.
     return np.maximum(worst, max((link.max(initial=0.0) for link in links), default=0.0))
 
 
-def attempt(run: Run, todo: np.ndarray, model: Model, steps: list[Step | None]) -> None:
+def attempt(run: Run, todo: np.ndarray, model: Model, steps: Steps) -> None:
     """Take the steps that improve the merit as their model said; elsewhere shrink the trust region."""
     b, N, n = len(todo), *run.x.shape[1:]
-    step = np.array([np.zeros((N, n)) if s is None else s.d for s in steps])
     _raise_above_multipliers(run, todo, steps)
-    x = np.clip(run.x[todo] + step, run.program.lower, run.program.upper)
+    x = np.clip(run.x[todo] + steps.d, run.program.lower, run.program.upper)
     before = _merit(run, todo, run.x[todo], run.f[todo], run.c[todo])
     promised = before - _modelled_merit(run, todo, model.Z, x)
     x = _corrected(run, todo, x, steps)
@@ -159,19 +216,16 @@ def attempt(run: Run, todo: np.ndarray, model: Model, steps: list[Step | None]) 
     f, c = e.f.reshape(b, N), e.c.reshape(b, N, -1)
     true = before - _merit(run, todo, x, f, c)
     unseen = _ROUNDING * (1.0 + np.abs(before))
-    good = (true >= run.config.accept * promised - unseen) & np.array([s is not None for s in steps])
+    good = (true >= run.config.accept * promised - unseen) & steps.found
     larger = np.minimum(run.config.expand * run.trust[todo], run.config.most_trust)
-    run.trust[todo] = np.where(good, larger, run.config.shrink * np.abs(step).max(axis=(1, 2)))
+    run.trust[todo] = np.where(good, larger, run.config.shrink * np.abs(steps.d).max(axis=(1, 2)))
     taken = todo[good]
     run.x[taken], run.f[taken], run.c[taken] = x[good], f[good], c[good]
     run.g[taken] = e.g.reshape(b, N, n)[good]
     run.A[taken] = e.A.reshape(b, N, -1, n)[good]
-    run.fresh[todo] = True
-    for i in range(b):
-        if steps[i] is not None:
-            _take_multipliers(run, todo[i], steps[i])
+    _take_multipliers(run, todo, steps)
     remember(run, taken)
-    _certify(run, todo, good, np.abs(d).max(axis=(1, 2)), [s is not None and s.equations is not None for s in steps])
+    _certify(run, todo, good, np.abs(d).max(axis=(1, 2)), steps.gave_way)
 
 
 def _modelled_merit(run: Run, todo: np.ndarray, Z: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -183,7 +237,7 @@ def _modelled_merit(run: Run, todo: np.ndarray, Z: np.ndarray, x: np.ndarray) ->
     return _merit(run, todo, x, f, run.c[todo] + np.einsum("bkmj,bkj->bkm", run.A[todo], d))
 
 
-def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: list[Step | None]) -> np.ndarray:
+def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: Steps) -> np.ndarray:
     """Return x moved by the shortest step that takes away, to first order, what its constraints are violated by.
 
     Constraints that hold the step stay where they are; of one that is violated in some of its values, only these count.
@@ -196,9 +250,8 @@ def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: list[Step | Non
     layout = run.program.layout
     b, N, n = x.shape
     used = (off != 0.0) | layout.equation
-    rows = int((~layout.equation).sum())
     y = np.zeros(c.shape)
-    y[:, :, ~layout.equation] = np.array([np.zeros((N, rows)) if s is None else s.rows[:, :rows] for s in steps])
+    y[:, :, ~layout.equation] = steps.rows[:, :, : int((~layout.equation).sum())]
     holding = np.abs(y) > _HOLDS
     for i in range(len(layout.names)):
         mine = layout.owner == i
@@ -211,38 +264,41 @@ def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: list[Step | Non
     return np.clip(x + np.where(small[:, None, None], d, 0.0), run.program.lower, run.program.upper)
 
 
-def _raise_above_multipliers(run: Run, todo: np.ndarray, steps: list[Step | None]) -> None:
+def _raise_above_multipliers(run: Run, todo: np.ndarray, steps: Steps) -> None:
     """Keep the penalties above the multipliers, without which the merit's minimum is not the problem's."""
     equation = run.program.layout.equation
-    for b, step in zip(todo, steps, strict=True):
-        if step is not None and step.equations is None:
-            m = (~equation).sum()
-            largest = np.abs(step.rows[:, :m]).max(axis=0, initial=0.0)
-            run.mu[b, ~equation] = np.maximum(run.mu[b, ~equation], 1.5 * largest)
-            run.mu[b, equation] = np.maximum(run.mu[b, equation], 1.5 * np.abs(run.lam[b][:, equation]).max(initial=0.0))
-            for l, link in enumerate(step.links):
-                run.mu_links[l] = max(run.mu_links[l], 1.5 * np.abs(link).max(initial=0.0))
+    largest = np.empty((len(todo), len(equation)))
+    largest[:, equation] = np.abs(run.lam[todo][:, :, equation]).max(axis=1)
+    largest[:, ~equation] = np.abs(steps.rows[:, :, : int((~equation).sum())]).max(axis=1)
+    largest[steps.gave_way] = 0.0
+    run.mu[todo] = np.maximum(run.mu[todo], _ABOVE * largest)
+    if not steps.gave_way.any():
+        for i, link in enumerate(steps.links or ()):
+            run.mu_links[i] = max(run.mu_links[i], _ABOVE * np.abs(link).max(initial=0.0))
 
 
-def _take_multipliers(run: Run, b: int, step: Step | None) -> None:
-    assert step is not None
-    equation = run.program.layout.equation
+def _take_multipliers(run: Run, todo: np.ndarray, steps: Steps) -> None:
+    """Keep the multipliers; the box's are those of the limits where a limit holds, and the trust region's elsewhere."""
+    todo, equation = todo[steps.found], run.program.layout.equation
     m = int((~equation).sum())
-    run.lam[b][:, ~equation] = step.rows[:, :m]
-    x = run.x[b]
+    lam = run.lam[todo]
+    lam[:, :, ~equation] = steps.rows[steps.found][:, :, :m]
+    gave_way = steps.gave_way[steps.found]
+    lam[np.ix_(gave_way, np.ones(lam.shape[1], dtype=bool), equation)] = steps.equations[steps.found][gave_way]
+    run.lam[todo] = lam
+    x = run.x[todo]
     at_limit = (x <= run.program.lower + _AT) | (x >= run.program.upper - _AT)
-    run.lam_limits[b] = np.where(at_limit, step.rows[:, m:], 0.0)
-    run.lam_links = list(step.links)
-    if step.equations is not None:
-        run.lam[b][:, equation] = step.equations
+    run.lam_limits[todo] = np.where(at_limit, steps.rows[steps.found][:, :, m:], 0.0)
+    if steps.links is not None:
+        run.lam_links = list(steps.links)
 
 
-def _certify(run: Run, todo: np.ndarray, good: np.ndarray, size: np.ndarray, gave_way: list[bool]) -> None:
+def _certify(run: Run, todo: np.ndarray, good: np.ndarray, size: np.ndarray, gave_way: np.ndarray) -> None:
     """Find the KKT residuals of the steps taken; call solved what is, and raise penalties where nothing moves."""
-    elastic_steps = np.array(gave_way)
-    for estimate, mask in ((True, good & ~elastic_steps), (False, good & elastic_steps)):
+    for estimate, mask in ((True, good & ~gave_way), (False, good & gave_way)):
         if mask.any():
             run.kkt[todo[mask]] = _residual(run, todo[mask], estimate)
+    run.fresh[todo] = ~good | (run.kkt[todo] > _NEAR)
     worst = _worst(run.program, run.x[todo], run.c[todo], todo)
     feasible, flat = worst <= run.config.feasible, run.kkt[todo] <= run.config.stationary
     run.solved[todo] = feasible & flat
@@ -320,3 +376,21 @@ def state(run: Run) -> dict[str, float]:
         "trust": float(np.median(run.trust)),
         "penalty": float(max(run.mu.max(initial=0.0), run.mu_links.max(initial=0.0))),
     }
+
+
+def behind(run: Run, rivals: np.ndarray, margin: float) -> np.ndarray:
+    """Return which problems (B,) another one of the same number is ahead of, by a part of its merit."""
+    merit = merits(run)
+    best = np.full(rivals.max() + 1, np.inf)
+    np.minimum.at(best, rivals, merit)
+    return merit > best[rivals] + margin * (1.0 + np.abs(best[rivals]))
+
+
+def merits(run: Run) -> np.ndarray:
+    """Return the merit of each problem (B,)."""
+    return _merit(run, np.arange(len(run.x)), run.x, run.f, run.c)
+
+
+def objectives(run: Run) -> np.ndarray:
+    """Return the cost of each problem (B,)."""
+    return run.program.objective(run.x, run.f)

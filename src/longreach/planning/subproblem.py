@@ -16,6 +16,8 @@ from jaxtyping import Bool, Float
 
 _EXACT = 1e-10
 _CROSSED = 1e-9  # by which a row must be violated to take part
+_BINDS = 1e-7  # a multiplier that is more than rounding
+_NEAR = 2e-4  # [m, rad] from a bound: the next step may come to it
 _ROUNDS = 30
 _FLOOR = 1e-8  # curvature of the elastic problem where it has none
 
@@ -58,7 +60,8 @@ class Difference:
 class Subproblem:
     """min gᵀd + ½ zᵀH z + links' costs, d = d₀ + Z z, lower ≤ G d ≤ upper, and the limits of links.
 
-    All are over N waypoints: g, d0 (N, n), Z (N, n, p), H (N, p, p), G (N, r, n); the last n rows of G are the box.
+    All are over N waypoints: g, d0 (N, n), Z (N, n, p), H (N, p, p), G (N, r, n); the last n rows of G are the joints'
+    limits. The trust region is |z| ≤ reach.
     """
 
     g: Float[np.ndarray, "N n"]
@@ -68,6 +71,7 @@ class Subproblem:
     G: Float[np.ndarray, "N r n"]
     lower: Float[np.ndarray, "N r"]
     upper: Float[np.ndarray, "N r"]
+    reach: float
     costs: tuple[Difference, ...] = ()
     limits: tuple[Difference, ...] = ()
 
@@ -87,11 +91,14 @@ class Step:
 
 def one_waypoint(
     H: Float[np.ndarray, "p p"], g: Float[np.ndarray, " p"], G: Float[np.ndarray, "r p"],
-    lower: Float[np.ndarray, " r"], upper: Float[np.ndarray, " r"],
+    lower: Float[np.ndarray, " m"], upper: Float[np.ndarray, " m"],
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " r"]] | None:  # fmt: skip
-    """Return z and the rows' multipliers by daqp, or None where the rows contradict each other."""
+    """Return z and the rows' multipliers by daqp, or None where the rows contradict each other.
+
+    The first p bounds are those of z itself.
+    """
     z, _, flag, info = daqp.solve(H, g, G, upper, lower, primal_tol=_EXACT)
-    return (z, info["lam"]) if flag == 1 else None
+    return (z, info["lam"][len(z) :]) if flag == 1 else None
 
 
 class Sequence:
@@ -112,13 +119,14 @@ class Sequence:
         at_d0 = np.einsum("krj,kj->kr", q.G, q.d0)
         for _ in range(_ROUNDS):
             rows, low, high = self._taking_part(q, GZ, at_d0)
-            found = _piqp(P, c, rows, low, high)
+            found = _piqp(P, c, rows, low, high, q.reach)
             if found is None:
                 return None
             z, y = found
             d = q.d0 + np.einsum("kjp,kp->kj", q.Z, z.reshape(N, p))
             if not self._add_crossed(q, d):
-                return self._step(d, y)
+                v = np.einsum("krj,kj->kr", q.G, d)
+                return self._step(d, y, (v < q.lower + _NEAR) | (v > q.upper - _NEAR))
         return None
 
     def _taking_part(
@@ -161,8 +169,8 @@ class Sequence:
             any_new |= bool(new.any())
         return any_new
 
-    def _step(self, d: np.ndarray, y: np.ndarray) -> Step:
-        """Give each row its multiplier."""
+    def _step(self, d: np.ndarray, y: np.ndarray, near: np.ndarray) -> Step:
+        """Give each row its multiplier, and let only those take part next time that hold the step or are near."""
         assert self.rows is not None
         rows = np.zeros(self.rows.shape)
         start = int(self.rows.sum())
@@ -174,24 +182,47 @@ class Sequence:
             value[mask] = y[start:stop]
             start = stop
             links.append(value)
+            mask &= np.abs(value) > _BINDS
+        self.rows &= (np.abs(rows) > _BINDS) | near
         return Step(d, rows, tuple(links))
+
+
+def link_bands(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...]) -> list[np.ndarray]:
+    """Return the links' curvature in z: blocks (N - o, p, p) of waypoints k and k + o, for o = 0, 1, ..."""
+    N, _, p = Z.shape
+    width = max((cost.coefficients.shape[1] for cost in costs), default=1)
+    bands = [np.zeros((N - o, p, p)) for o in range(width)]
+    for cost in costs:
+        k, width = cost.coefficients.shape
+        for i in range(width):
+            for j in range(i, width):
+                weight = cost.curvature * cost.coefficients[:, i] * cost.coefficients[:, j]
+                bands[j - i][i : i + k] += weight[:, None, None] * (Z[i : i + k].transpose(0, 2, 1) @ Z[j : j + k])
+    return bands
+
+
+def banded(bands: list[np.ndarray]) -> np.ndarray:
+    """Return the symmetric matrix of blocks, see `link_bands`, by its lower band (N p, width), see `mend`."""
+    N, p, _ = bands[0].shape
+    width = p * len(bands)
+    out = np.zeros((N * p, width))
+    a, b = np.meshgrid(np.arange(p), np.arange(p), indexing="ij")
+    for o, band in enumerate(bands):
+        i = (np.arange(o, N)[:, None] * p + b.ravel()).ravel()
+        j = (np.arange(N - o)[:, None] * p + a.ravel()).ravel()
+        keep = i >= j
+        out[i[keep], (width - 1 - i + j)[keep]] = band.ravel()[keep]
+    return out
 
 
 def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
     """Return the upper triangle of the quadratic cost in z, and its gradient at z = 0."""
     N, _, p = q.Z.shape
-    bands = [q.H.copy()]
+    bands = link_bands(q.Z, q.costs)
+    bands[0] += q.H
     g = q.g
     for cost in q.costs:
         g = g + cost.curvature * cost.transposed(cost.of(q.d0), N)
-        k, width = cost.coefficients.shape
-        bands += [np.zeros((N - o, p, p)) for o in range(len(bands), width)]
-        for i in range(width):
-            for j in range(i, width):
-                weight = cost.curvature * cost.coefficients[:, i] * cost.coefficients[:, j]
-                bands[j - i][i : i + k] += weight[:, None, None] * (
-                    q.Z[i : i + k].transpose(0, 2, 1) @ q.Z[j : j + k]
-                )
     a, b = np.meshgrid(np.arange(p), np.arange(p), indexing="ij")
     rows, columns, data = [], [], []
     for o, band in enumerate(bands):
@@ -206,19 +237,20 @@ def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
 
 
 def _piqp(
-    P: sp.csc_matrix, c: np.ndarray, G: sp.csc_matrix, low: np.ndarray, high: np.ndarray
+    P: sp.csc_matrix, c: np.ndarray, G: sp.csc_matrix, low: np.ndarray, high: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = _EXACT
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 1e-11
-    if G.shape[0] == 0:
-        solver.setup(P, c)
-    else:
-        solver.setup(P, c, None, None, G, low, high)
+    box = np.full(len(c), reach)
+    solver.setup(P, c, None, None, *((G, low, high) if G.shape[0] else (None, None, None)), -box, box)
     status = solver.solve()
     result = solver.result
     loose = max(result.info.primal_res, result.info.dual_res) < 1e-7
     if status != piqp.PIQP_SOLVED and not (status in (piqp.PIQP_MAX_ITER_REACHED, piqp.PIQP_NUMERICS) and loose):
         return None
-    y = result.z_u - result.z_l if G.shape[0] else np.empty(0)
-    return np.array(result.x), np.array(y)
+    if G.shape[0] == 0:
+        return np.array(result.x), np.empty(0)
+    y = result.z_u - result.z_l
+    slack = np.minimum(result.s_l, result.s_u)
+    return np.array(result.x), np.where(np.abs(y) > slack, y, 0.0)  # an interior point leaves a little everywhere

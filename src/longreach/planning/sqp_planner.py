@@ -1,0 +1,185 @@
+"""Plans by sequential convex optimisation: where it starts from, and how its answer becomes a trajectory."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.configuration import ConfigurationTrajectory, TaskReport
+from longreach.errors import PlanningError
+from longreach.planning import sqp
+from longreach.planning import sqp_rounds as rounds
+from longreach.planning.links import StepLimit
+from longreach.planning.problem import Problem, evaluate
+from longreach.planning.program import Program
+from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
+from longreach.planning.terms import Waypoints
+from longreach.planning.terms_pose import BaseHeading, ToolPose
+from longreach.planning.thesis_problem import thesis_problem
+from longreach.reference import Reference
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_LONG = 1e4  # [s] between the waypoints of a start, so that no limit of speed counts
+_MET = 1e-6  # [m, rad] that counts as nothing
+_RAMP = 0.6  # part of the largest step that a change of heading in the start takes
+
+
+def optimise(
+    robot: MobileManipulator,
+    reference: Reference,
+    problem: Problem,
+    start: Float[np.ndarray, "N n"],
+    coupled: bool = True,
+    config: sqp.SqpConfig | None = None,
+) -> SqpSolution:
+    """Return the solution of a problem near a start (N, n), one configuration a waypoint.
+
+    coupled: all waypoints as one problem, links and all; otherwise each by itself, without links.
+
+    Raises:
+        PlanningError: bounds contradict each other, the start does not fit, or a term gives no finite number.
+    """
+    n = len(reference)
+    if start.shape != (n, robot.dof) or not np.all(np.isfinite(start)):
+        raise PlanningError(f"The start must be {n} rows of {robot.dof} finite numbers, one row a waypoint.")
+    index = np.arange(n)[None] if coupled else np.arange(n)[:, None]
+    run = sqp.solve(Program.of(problem, robot, reference, index), start[index], config or sqp.SqpConfig())
+    return solution_of(run, np.arange(len(index)))
+
+
+def plan_by_sqp(
+    robot: MobileManipulator,
+    reference: Reference,
+    q0: Float[np.ndarray, " n"],
+    iterations: int = 60,
+    problem: Problem | None = None,
+    coupled: bool = True,
+    config: sqp.SqpConfig | None = None,
+    initial: ConfigurationTrajectory | None = None,
+) -> OptimisedTrajectory:
+    """Plan all waypoints at once (coupled), or each by itself, by Algorithm 2 from a start by task priority.
+
+    Arguments: problem: (4.34) with the thesis' numbers where None; initial: a former answer to start from instead.
+
+    Its `solution` holds the certificate; where a constraint is not met, its report and the status say which.
+    """
+    config = (config or sqp.SqpConfig()).model_copy(update={"iterations": iterations})
+    problem = problem or thesis_problem()
+    if initial is not None:
+        solution = optimise(robot, reference, problem, _resampled(initial, reference), coupled, config)
+    elif coupled:
+        problem, start = _coupled_start(robot, reference, q0, problem)
+        solution = optimise(robot, reference, problem, start, True, config)
+    else:
+        solution = _best_alone(robot, reference, q0, problem, config)
+    reports = tuple(_report(name, off, solution, problem) for name, off in solution.off.items())
+    return OptimisedTrajectory(reference.stamps, solution.q, robot.joint_names, reports=reports, solution=solution)
+
+
+def _resampled(initial: ConfigurationTrajectory, reference: Reference) -> np.ndarray:
+    columns = [np.interp(reference.stamps, initial.stamps, column) for column in initial.q.T]
+    return np.column_stack(columns)
+
+
+def _by_task_priority(
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, turn: float | np.ndarray = 0.0
+) -> np.ndarray:
+    """Return configurations (N, n) on the reference, its base turned."""
+    from longreach.planning.planner import plan_by_task_priority  # it knows this method, too
+
+    base = None if reference.base is None else reference.base + np.array([0.0, 0.0, 1.0]) * np.reshape(turn, (-1, 1))
+    slow = Reference(_LONG * np.arange(len(reference)), reference.tool, base)
+    return plan_by_task_priority(robot, slow, q0).q
+
+
+def _band(problem: Problem, reference: Reference) -> float:
+    """Return how far the heading is free either way: there the cost has one optimum at each end."""
+    bands = [constraint.band for constraint in problem.constraints if isinstance(constraint, BaseHeading)]
+    return min(bands) if bands and reference.base is not None else 0.0
+
+
+def _starts(
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem
+) -> Float[np.ndarray, "s N n"]:
+    band = _band(problem, reference)
+    turns = (band, -band) if band > 0 else (0.0,)
+    return np.array([_by_task_priority(robot, reference, q0, turn) for turn in turns])
+
+
+def _best_alone(
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem, config: sqp.SqpConfig
+) -> SqpSolution:
+    """Return the best answer at each waypoint by itself, over the starts."""
+    starts = _starts(robot, reference, q0, problem)
+    s, N, n = starts.shape
+    index = np.tile(np.arange(N), s)
+    program = Program.of(problem, robot, reference, index[:, None])
+    run = sqp.solve(program, starts.reshape(s * N, 1, n), config, index if s > 1 else None)
+    rank = np.where(run.solved, rounds.objectives(run), np.inf).reshape(s, N)
+    rank = np.where(np.isfinite(rank).any(axis=0), rank, rounds.merits(run).reshape(s, N))
+    return solution_of(run, rank.argmin(axis=0) * N + np.arange(N))
+
+
+def _coupled_start(
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem
+) -> tuple[Problem, Float[np.ndarray, "N n"]]:
+    """Return a start whose heading is at that end of its band where the cost is less, changing over slowly.
+
+    With it comes the problem with a limit of steps that it can keep.
+    """
+    starts = _starts(robot, reference, q0, problem)
+    problem = _with_room(problem, starts[0])
+    if len(starts) == 1:
+        return problem, starts[0]
+    s, N, n = starts.shape
+    at = Waypoints(robot, reference, np.tile(np.arange(N), s), starts.reshape(s * N, n))
+    cost = evaluate(replace(problem, constraints=(), links=(), limits=True), at).f.reshape(s, N)
+    band = _band(problem, reference)
+    rate = _RAMP * min([*(link.step for link in problem.links if isinstance(link, StepLimit)), band])
+    return problem, _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
+
+
+def _turns(cost: Float[np.ndarray, "2 N"], band: float, rate: float) -> Float[np.ndarray, " N"]:
+    """Return the heading's place in its band (N,): the cheaper path between its two ends, by dynamic programming.
+
+    A change takes 2 band / rate waypoints, over which the cost is taken for the mean of both ends'.
+    """
+    N = cost.shape[1]
+    width = max(int(np.ceil(2.0 * band / rate)), 1)
+    excess = 0.5 * width * np.abs(cost[0] - cost[1]).mean()
+    total = cost[:, 0].copy()
+    came = np.zeros((2, N), dtype=int)
+    for k in range(1, N):
+        change = total[::-1] + excess < total
+        came[:, k] = np.where(change, [1, 0], [0, 1])
+        total = np.minimum(total, total[::-1] + excess) + cost[:, k]
+    path = np.empty(N, dtype=int)
+    path[-1] = int(np.argmin(total))
+    for k in range(N - 1, 0, -1):
+        path[k - 1] = came[path[k], k]
+    square = np.where(path == 0, band, -band)
+    window = np.ones(width) / width
+    padded = np.concatenate([np.full(width, square[0]), square, np.full(width, square[-1])])
+    return np.convolve(padded, window, mode="same")[width:-width]
+
+
+def _with_room(problem: Problem, start: np.ndarray) -> Problem:
+    """Return the problem with a limit of steps that the start can come to keep."""
+    largest = float(np.abs(np.diff(start, axis=0)).max(initial=0.0))
+    links = tuple(
+        replace(link, step=max(link.step, link.room * largest)) if isinstance(link, StepLimit) else link
+        for link in problem.links
+    )
+    return replace(problem, links=links)
+
+
+def _report(name: str, off: Float[np.ndarray, "k m"], solution: SqpSolution, problem: Problem) -> TaskReport:
+    """Say what became of one constraint."""
+    N = len(solution.q)
+    size = np.zeros((N, 2))
+    tool = any(isinstance(term, ToolPose) and term.name == name for term in problem.constraints)
+    size[: len(off), 0] = np.linalg.norm(off[:, :3], axis=1) if tool else off.max(axis=1, initial=0.0)
+    size[: len(off), 1] = np.linalg.norm(off[:, 3:], axis=1) if tool else 0.0
+    unmet = off.max(axis=1, initial=0.0) > _MET
+    reason = solution.status if unmet.any() else f"The {name} is met everywhere."
+    return TaskReport(name, size[:, 0], size[:, 1], np.concatenate([unmet, np.zeros(N - len(off), dtype=bool)]), reason)
