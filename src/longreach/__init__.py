@@ -32,6 +32,7 @@ _PUBLIC = {
     "ConfigurationTrajectory": "longreach.configuration",
     "TaskReport": "longreach.configuration",
     "plan": "longreach.planning.planner",
+    "thesis_problem": "longreach.planning.thesis_problem",
     "solve_priority": "longreach.planning.task_priority",
 }
 

@@ -24,13 +24,14 @@ def plan(
     reference: Reference,
     q0: Float[np.ndarray, " _"],
     method: str = "task-priority",
-    iterations: int = 20,
+    iterations: int | None = None,
     **options: Any,
 ) -> ConfigurationTrajectory:
     """Plan configurations along a reference, one for each of its waypoints, from q0 (n,) [rad or m] on.
 
-    Arguments: method: task-priority; iterations: at most so many a waypoint; options: of the method, see
-        `plan_by_task_priority`.
+    Arguments: method: task-priority or sqp; iterations: at most so many, a waypoint where these are planned one after
+        the other; the method's own number where None; options: of the method, see `plan_by_task_priority` and
+        `sqp_planner.plan_by_sqp`.
 
     The trajectory's `reports` say of each task how far off it is along the way, and why where it is not met.
 
@@ -39,9 +40,11 @@ def plan(
     """
     if method not in _METHODS:
         raise PlanningError(f"There is no method {method!r}; there is {', '.join(_METHODS)}.")
-    if iterations < 1:
-        raise PlanningError(f"A plan needs at least one iteration a waypoint, not {iterations}.")
-    return _METHODS[method](robot, reference, q0, iterations, **options)
+    if iterations is not None:
+        if iterations < 1:
+            raise PlanningError(f"A plan needs at least one iteration a waypoint, not {iterations}.")
+        options["iterations"] = iterations
+    return _METHODS[method](robot, reference, q0, **options)
 
 
 def plan_by_task_priority(
@@ -144,4 +147,13 @@ def _report(name: str, sizes: np.ndarray, met: float, why_at: Callable[[int], st
     return TaskReport(name, linear, angular, unmet, reason)
 
 
-_METHODS: dict[str, Callable[..., ConfigurationTrajectory]] = {"task-priority": plan_by_task_priority}
+def _plan_by_sqp(*args: Any, **options: Any) -> ConfigurationTrajectory:
+    from longreach.planning.sqp_planner import plan_by_sqp  # it starts from the other method's plans
+
+    return plan_by_sqp(*args, **options)
+
+
+_METHODS: dict[str, Callable[..., ConfigurationTrajectory]] = {
+    "task-priority": plan_by_task_priority,
+    "sqp": _plan_by_sqp,
+}
