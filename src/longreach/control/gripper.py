@@ -82,16 +82,14 @@ def _within(config: GripperConfig, wish: GripperCommand) -> GripperCommand:
 def _judged(state: GripperControl, goal: GripperCommand, fingers: GripperState, standing: float) -> tuple[Status, str]:
     """How it goes after the fingers have stood for so long [s]."""
     config = state.config
-    wanted = goal.value
-    if goal.mode == "velocity":
-        wanted = 1.0 if goal.value > 0.0 else 0.0
+    if goal.mode == "velocity" and goal.value == 0.0:
+        return ("reached", "The fingers stand.") if standing > 0.0 else ("moving", "The fingers are slowing down.")
+    wanted = goal.value if goal.mode == "position" else float(goal.value > 0.0)
     if goal.mode == "force":
         if abs(fingers.force - goal.value) <= config.force_tolerance:
             return "reached", f"The fingers press with {fingers.force:.0f} N."
     elif abs(fingers.closed - wanted) <= config.tolerance:
         return "reached", f"The fingers are at {fingers.closed:.2f}."
-    if goal.mode == "velocity" and goal.value == 0.0:
-        return ("reached", "The fingers stand.") if standing > 0.0 else ("moving", "The fingers are slowing down.")
     if standing < config.patience:
         return "moving", "The fingers are moving."
     where = f"The fingers stand at {fingers.closed:.2f}"

@@ -94,7 +94,7 @@ class Command:
     base (3,): body twist [v_x, v_y, ω]. Numbers that are not finite are for the safety gate to find.
 
     Raises:
-        ControlError: a shape does not fit.
+        RecordingError: a shape does not fit.
     """
 
     stamp: float
@@ -104,16 +104,10 @@ class Command:
     gripper: GripperCommand | None = None
 
     def __post_init__(self) -> None:
-        for name in ("arm", "base"):
+        for name, shape in (("arm", (None,)), ("base", (3,))):
             value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(value, dtype=float)
-            if array.ndim != 1 or (name == "base" and len(array) != 3):
-                wanted = "(3,)" if name == "base" else "(joints,)"
-                raise ControlError(f"A command's {name} has the shape {array.shape}; give it the shape {wanted}.")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+            if value is not None:
+                object.__setattr__(self, name, frozen_array(value, shape, f"Command.{name}"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ class Durations:
         """How many there are."""
         return int(self.counts.sum())
 
-    def percentile(self, p: float) -> float:
+    def percentile(self, p: float | int) -> float:
         """Return the duration [s] that p of 100 do not exceed, 5 % too long at most; 0 where there is none."""
         below = np.cumsum(self.counts)
         if below[-1] == 0:

@@ -1,0 +1,97 @@
+"""Controllers by name, their settings as YAML, and the double of a robot driven through the whole chain."""
+
+import numpy as np
+import pytest
+from control.recorded import NAMES, PERIOD, RecordedHardware, readings
+from pydantic import BaseModel, ValidationError
+
+from longreach.control import joint_trajectory, safety
+from longreach.control.controllers import CONTROLLERS, ControllerConfig, controller
+from longreach.control.hardware import Command, ControlError, Hardware, Readings, Wrench
+from longreach.control.interpolation import timed_points
+from longreach.control.joint_trajectory import JointInput, JointTrajectoryConfig
+from longreach.control.safety_checks import Health
+from longreach.control.safety_config import SafetyConfig, limits_of
+from longreach.io.config import read_config, to_yaml, validated
+
+
+class Settings(BaseModel):
+    controllers: dict[str, ControllerConfig]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_is_found_by_the_name_that_its_settings_bear(name):
+    found = controller(name)
+    config = found.config()
+    assert config.kind == name
+    assert found.init(config, 1.5) is not None
+
+
+def test_an_unknown_controller_is_refused_with_those_there_are():
+    with pytest.raises(ControlError, match="no controller foo; choose one of joint_trajectory, base_velocity, gripper"):
+        controller("foo")
+
+
+def test_settings_are_chosen_by_their_kind_and_survive_yaml(tmp_path):
+    values = {
+        "arm": {"kind": "joint_trajectory", "goal_tolerance": [0.002], "gains": {"p": [3.0], "output_limit": [0.5]}},
+        "base": {"kind": "base_velocity", "acceleration": [1.0, 1.0, 0.5]},
+    }
+    settings = validated(Settings, {"controllers": values}, "here")
+    assert settings.controllers["arm"].gains.p == (3.0,)
+    assert settings.controllers["base"].acceleration == (1.0, 1.0, 0.5)
+    (tmp_path / "control.yaml").write_text(to_yaml(settings))
+    assert read_config(tmp_path / "control.yaml", Settings) == settings
+
+
+def test_the_gates_settings_survive_yaml(tmp_path, promises):
+    config = limits_of(promises, SafetyConfig(force_limit=50.0))
+    (tmp_path / "safety.yaml").write_text(to_yaml(config))
+    assert read_config(tmp_path / "safety.yaml", SafetyConfig) == config
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"lower": (0.0,)}, "lower has 1 numbers for 2 joints"),
+        ({"lower": (0.0, 5.0)}, "every lower limit must be below its upper one"),
+        ({"velocity": (1.0, np.inf)}, "finite number"),
+        ({"acceleration": (1.0, 0.0)}, "greater than 0"),
+    ],
+)
+def test_limits_that_are_none_are_refused(promises, values, message):
+    arm = limits_of(promises).arm.model_dump()
+    with pytest.raises(ValidationError, match=message):
+        SafetyConfig.model_validate({"arm": {**arm, **values}})
+
+
+def test_limits_of_ones_own_are_kept(promises):
+    own = limits_of(promises).model_copy(update={"base": None})
+    assert limits_of(promises, own).arm is own.arm
+    assert limits_of(promises, own).base.velocity == (1.1, 1.1, 2.0)
+
+
+def test_a_double_of_a_robot_is_driven_from_reading_to_writing(promises):
+    robot: Hardware = RecordedHardware(promises, [readings(k * PERIOD) for k in range(1, 40)])
+    gate = safety.init(limits_of(robot.promises, SafetyConfig(stale_after={"joints": 0.1})), 0.0)
+    goal = timed_points(np.array([0.0, 0.3]), np.array([[0.0, 0.0], [0.05, 0.02]]), joint_names=NAMES)
+    state = joint_trajectory.follow(joint_trajectory.init(JointTrajectoryConfig(), 0.0), goal)
+    for _ in range(39):
+        came = robot.read()
+        state, out = joint_trajectory.step(state, JointInput(came.joints[-1].position, np.zeros(2)), came.stamp)
+        gate, safe = safety.step(gate, Command(came.stamp, out.arm, out.mode), came, Health(), came.stamp)
+        robot.write(safe)
+    assert len(robot.written) == 39
+    assert robot.written[10].arm[0] > 0.0
+    robot.stop("the test is over")
+    robot.write(safe)
+    assert len(robot.written) == 39
+    assert robot.stopped == "the test is over"
+
+
+def test_commands_and_wrenches_cannot_be_changed():
+    with pytest.raises(ValueError, match="read-only"):
+        Command(0.0, np.zeros(2)).arm[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        Wrench(0.0, np.zeros(3), np.zeros(3)).force[0] = 1.0
+    assert Readings(0.0).emergency_stop is False
