@@ -12,7 +12,8 @@ from longreach.estimation.fusion import Anchor, init, step
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
-NO_GATE = FilterConfig(gate_mode="none", history=0.0)
+NO_GATE = FilterConfig(gate_mode="none", history=0.0, led_by_counter=(False, False, False))
+ALONE, LED = np.zeros(3), np.ones(3)
 STEP = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 3e-4, 5e-5], [2e-5, 5e-5, 1e-4]])
 READING = np.diag([1e-3, 5e-4, 2e-3])
 
@@ -25,7 +26,7 @@ def spd(rng, n):
 def test_carrying_an_anchor_moves_its_error_by_the_derivative(rng):
     mean, P, z = rng.normal(size=16), spd(rng, 16), np.array([0.5, -0.3, 1.2])
     anchor = mean[13:16]
-    moved, covariance = ekf.carry(mean, P, 1, z, STEP)
+    moved, covariance = ekf.carry(mean, P, 1, z, STEP, ALONE)
     np.testing.assert_allclose(moved, [*mean[:13], *se2.compose(anchor, z)], atol=1e-15)
 
     def error_about_the_new(error):
@@ -38,14 +39,43 @@ def test_carrying_an_anchor_moves_its_error_by_the_derivative(rng):
     np.testing.assert_array_equal(covariance, covariance.T)
 
 
+def test_the_pose_shares_the_error_of_a_step_that_leads_it(rng):
+    mean, P, z = rng.normal(size=16), spd(rng, 16), np.array([0.5, -0.3, 1.2])
+    _, alone = ekf.carry(mean, P, 1, z, STEP, ALONE)
+    _, shared = ekf.carry(mean, P, 1, z, STEP, np.array([1.0, 1.0, 0.0]))
+    S = np.diag([1.0, 1.0, 0.0])
+    expected = np.zeros((16, 16))
+    expected[:3, :3], expected[:3, 13:], expected[13:, :3] = S @ STEP @ S, S @ STEP, STEP @ S
+    np.testing.assert_allclose(shared - alone, expected, atol=1e-12)
+    D = np.hstack([np.eye(3), np.zeros((3, 10)), -np.eye(3)])
+    _, all_shared = ekf.carry(mean, P, 1, z, STEP, LED)
+    _, exact = ekf.carry(mean, P, 1, z, np.zeros((3, 3)), LED)
+    np.testing.assert_allclose(D @ all_shared @ D.T, D @ exact @ D.T, atol=1e-12)  # their difference is left alone
+
+
+def test_a_counter_alone_leads_the_pose_where_it_says(rng):
+    """However the base jerks about, the filter on wheels alone is nearly the wheels."""
+    config = NO_GATE.model_copy(update={"led_by_counter": (True, True, True)})
+    state = init(0.0, np.zeros(3), None, config)
+    state, _ = step(state, Anchor(0.0, "wheels"))
+    raw = np.zeros(3)
+    for i in range(400):
+        z = np.array([0.02, 0.0, 0.05]) * rng.choice([-1.0, 0.0, 1.0]) * np.array([1.0, 1.0, rng.uniform(-1, 1)])
+        raw = se2.compose(raw, z)
+        reading = 1e-6 * np.eye(3)
+        state, _ = step(state, RelativePoseMeasurement(0.02 * i, 0.02 * (i + 1), z, 0.01 * STEP, "wheels", reading))
+    np.testing.assert_allclose(state.history[-1].mean[10:13], raw, atol=0.04)  # of 5 m
+    np.testing.assert_allclose(state.belief.pose, raw, atol=0.06)
+
+
 def test_a_clone_is_the_pose_and_carrying_it_back_changes_nothing(rng):
     mean, P = rng.normal(size=10), spd(rng, 10)
     mean, P = ekf.clone(mean, P, 0)
     np.testing.assert_array_equal(mean[10:], mean[:3])
     np.testing.assert_array_equal(P[10:, :], P[:3, :])
     z = np.array([0.5, -0.3, 1.2])
-    there = ekf.carry(mean, P, 0, z, np.zeros((3, 3)))
-    back, covariance = ekf.carry(*there, 0, se2.inverse(z), np.zeros((3, 3)))
+    there = ekf.carry(mean, P, 0, z, np.zeros((3, 3)), LED)
+    back, covariance = ekf.carry(*there, 0, se2.inverse(z), np.zeros((3, 3)), LED)
     np.testing.assert_allclose(back, mean, atol=1e-14)
     np.testing.assert_allclose(covariance, P, atol=1e-12)
 
@@ -77,13 +107,13 @@ def test_readings_without_error_are_steps_from_anchor_to_anchor(rng, scale, tole
         cloned, b = step(cloned, RelativePoseMeasurement(before, now, z, Q, "wheels"))
         cloned, _ = step(cloned, Anchor(now, "wheels"))
         assert (a.status, b.status) == ("used", "used")
-        assert a.nis == pytest.approx(b.nis, rel=2e-3, abs=1e-6)
+        assert a.nis == pytest.approx(b.nis, rel=1e-2, abs=1e-6)
         assert carried.anchors["wheels"] == cloned.anchors["wheels"] == (0, now)
     mean, other = carried.history[-1].mean, cloned.history[-1].mean
     np.testing.assert_allclose(se2.difference(mean[:3], other[:3]), 0.0, atol=tolerance)
     np.testing.assert_allclose(mean[3:10], other[3:10], atol=10 * tolerance)
     np.testing.assert_allclose(
-        se2.difference(mean[:3], mean[10:]), 0.0, atol=1e-3 * tolerance
+        se2.difference(mean[:3], mean[10:]), 0.0, atol=2e-3 * tolerance
     )  # the counter says where we are
     unit = np.array([*[scale] * 9, 1.0])
     A, B = (state.belief.covariance / np.outer(unit, unit) for state in (carried, cloned))

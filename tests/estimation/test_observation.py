@@ -5,6 +5,7 @@ import pytest
 from jacobians import assert_is_jacobian
 
 from longreach.errors import RecordingError
+from longreach.estimation import _kernels as _filter_kernels
 from longreach.estimation import motion
 from longreach.estimation.observation import MODELS, Measurement, PlanarImu, observe, planar_imu
 from longreach.geometry import se2, se3, so3
@@ -81,9 +82,33 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
         measurement = RelativePoseMeasurement(0.5, 1.0, np.array([*measurement.pose[:2], x[2]]), R3)
     elif anchor is not None:
         at[:3] = se2.difference(mean[:3], se2.compose(mean[13:16], measurement.pose))
-    assert_is_jacobian(lambda error: -RESIDUALS[type(measurement)](motion.retract(mean, error), measurement)[:k], H, at)
+    G = np.empty((16, 16))
+    there = _filter_kernels.retract(mean, at, G)
+    J = H @ np.linalg.inv(G)  # over the errors as they are seen from where the model is linearised
+    assert_is_jacobian(
+        lambda error: -RESIDUALS[type(measurement)](motion.retract(there, error), measurement)[:k], J, np.zeros(16)
+    )
     if k == 3:
         np.testing.assert_allclose(H @ at, r - r * (not np.any(at)), atol=1e-9)
+
+
+def together(mean):
+    """How the errors of all poses change (n, 3) as the world moves under them, which no relative pose can tell."""
+    out = np.zeros((len(mean), 3))
+    for i in (0, *range(10, len(mean), 3)):
+        out[i : i + 3] = se2.adjoint(se2.inverse(mean[i : i + 3]))
+    return out
+
+
+def test_a_relative_pose_says_nothing_of_where_all_poses_are_together(rng):
+    """Huang, Mourikis & Roumeliotis 2010: else the filter grows certain of a heading that nothing measures."""
+    for _ in range(20):
+        mean = random_mean(rng)
+        _, H, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 1)[0]
+        np.testing.assert_allclose(H @ together(mean), 0.0, atol=1e-12)
+        dx, G = rng.normal(size=16), np.empty((16, 16))
+        after = _filter_kernels.retract(mean, dx, G)
+        np.testing.assert_allclose(G @ together(mean), together(after), atol=1e-12)
 
 
 def test_every_kind_of_measurement_has_a_model_and_every_model_a_jacobian_test():

@@ -55,8 +55,8 @@ class EstimateConfig(BaseModel):
 def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recording) -> FilterConfig:
     """Return the filter's settings for one run.
 
-    The robot's limits say how hard it accelerates, the scans' rhythm how far stamps can be trusted; a pause in the
-    recording may be as long as the recording.
+    The robot's limits say how hard it accelerates, the scans' rhythm how far stamps can be trusted, a gyro that the
+    wheels do not lead the heading; a pause in the recording may be as long as the recording.
     """
     stamps = [records[i].stamp for records in (recording.wheels, recording.scans) if records for i in (0, -1)]
     rhythm = np.array([record.stamp for record in recording.scans or recording.wheels])
@@ -66,6 +66,9 @@ def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recor
         changes["stamp_deviation"] = stamp_deviation(rhythm)
     if "acceleration_deviation" not in config.filter.model_fields_set:
         changes["acceleration_deviation"] = tuple(limit / math.sqrt(3) for limit in robot.acceleration_limits)
+    if "led_by_counter" not in config.filter.model_fields_set:
+        gyro = bool(recording.imu) and (config.sources is None or "imu" in config.sources)
+        changes["led_by_counter"] = (True, True, not gyro)
     if robot.imu is not None:
         for key, value in (
             ("gyro_bias_walk", robot.imu.gyro_bias_walk),

@@ -11,8 +11,11 @@ from longreach.kernels import kernel
 
 
 @kernel
-def carry(mean, P, anchor, pose, Q):
-    """Move the anchor of that number by a pose (3,) seen from it, whose error has covariance Q (3, 3)."""
+def carry(mean, P, anchor, pose, Q, led):
+    """Move the anchor of that number by a pose (3,) seen from it, whose error has covariance Q (3, 3).
+
+    led (3,): axes (1: yes, 0: no) in which the step's error is the error of the present pose as well.
+    """
     i, n = BODY + 3 * anchor, len(mean)
     moved, T, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
     moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], pose[0], pose[1], pose[2])
@@ -22,7 +25,12 @@ def carry(mean, P, anchor, pose, Q):
         T[a, a] = 1.0
     T[i : i + 3, i : i + 3] = A
     new = congruence(T, P)
-    new[i : i + 3, i : i + 3] += Q
+    for a in range(3):
+        for b in range(3):
+            new[i + a, i + b] += Q[a, b]
+            new[a, b] += led[a] * led[b] * Q[a, b]
+            new[a, i + b] += led[a] * Q[a, b]
+            new[i + a, b] += led[b] * Q[a, b]
     return moved, new
 
 

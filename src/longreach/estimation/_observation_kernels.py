@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from longreach.estimation._kernels import BODY
-from longreach.geometry._kernels import se2_adjoint, se2_between, se2_log, se2_right_jacobian, wrap
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_exp, se2_log, wrap
 from longreach.kernels import kernel
 
 
@@ -57,7 +57,8 @@ def observe_pose(mean, z, R):
     c, s = math.cos(z[2]), math.sin(z[2])
     x, y, t = se2_between(mean[0], mean[1], mean[2], z[0], z[1], z[2])
     d0, d1, d2 = se2_log(x, y, t)
-    se2_right_jacobian(d0, d1, d2, H[:, :3])
+    x, y, t = se2_exp(-d0, -d1, -d2)
+    se2_adjoint(x, y, t, H[:, :3])
     for j in range(3):
         H[0, j], H[1, j] = c * H[0, j] - s * H[1, j], s * H[0, j] + c * H[1, j]
     z[0], z[1], z[2] = c * d0 - s * d1, s * d0 + c * d1, d2
@@ -73,9 +74,10 @@ def observe_relative_pose(mean, z, R, anchor):
         z[2] = t
     e0, e1, e2 = se2_between(z[0], z[1], z[2], x, y, t)
     e0, e1, e2 = se2_log(e0, e1, e2)
-    x, y, t = se2_between(z[0], z[1], z[2], 0.0, 0.0, 0.0)
     H = np.zeros((3, len(mean)))
-    se2_right_jacobian(-e0, -e1, -e2, H[:, :3])
+    x, y, t = se2_exp(e0, e1, e2)
+    se2_adjoint(x, y, t, H[:, :3])
+    x, y, t = se2_between(z[0], z[1], z[2], 0.0, 0.0, 0.0)
     se2_adjoint(x, y, t, H[:, k : k + 3])
     H[:, k : k + 3] *= -1.0
     z[0], z[1], z[2] = -e0, -e1, -e2

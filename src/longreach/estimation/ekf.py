@@ -3,7 +3,7 @@
 The mean (10 + 3m,) is pose, twist, acceleration, gyro bias and m anchors: past poses kept in the state, so that a pose
 measured relative to one of them is judged with the right correlation (stochastic cloning: Roumeliotis & Burdick 2002).
 Ours differs from (3.29) in what a pose needs: corrections are put on by X · exp(ξ), after which P is carried to the
-tangent space of the new mean by J_r(ξ); P is corrected in Joseph's form, which rounding cannot make indefinite.
+frame of the new mean by Ad(exp(-ξ)); P is corrected in Joseph's form, which rounding cannot make indefinite.
 """
 
 import math
@@ -76,7 +76,16 @@ def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarra
 
 
 def carry(
-    mean: Mean, P: Covariance, anchor: int, pose: Float[np.ndarray, "3"], Q: Float[np.ndarray, "3 3"]
+    mean: Mean,
+    P: Covariance,
+    anchor: int,
+    pose: Float[np.ndarray, "3"],
+    Q: Float[np.ndarray, "3 3"],
+    led: Float[np.ndarray, "3"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q)."""
-    return _read_only(*_anchor_kernels.carry(mean, P, anchor, pose, Q))
+    """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q).
+
+    led (3,): 1 in the axes in which the present pose shares the step's error, having been led by it; else 0. An error
+    that both share leaves their difference alone: what the motion model expects is not held against the step.
+    """
+    return _read_only(*_anchor_kernels.carry(mean, P, anchor, pose, Q, led))

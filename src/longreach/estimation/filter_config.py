@@ -39,6 +39,11 @@ class FilterConfig(BaseModel):
         allow_inf_nan=False,
         description="how wrong stamps are, standard deviation [s]; a recording's is measured from its scans' rhythm",
     )
+    led_by_counter: tuple[bool, bool, bool] = Field(
+        default=(True, True, True),
+        description="axes in which a counter's steps lead the pose, and the motion model has no say against them; "
+        "not the heading's where a gyro is fused, which knows better",
+    )
     initial_twist_deviation: _Axes = Field(
         default=(1.0, 1.0, 1.0),
         description="what is known of the twist at the start [m/s, m/s, rad/s]; a base's top speed",
@@ -76,6 +81,11 @@ class FilterConfig(BaseModel):
         """The motion model of these settings."""
         variance = np.square(self.acceleration_deviation)
         return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation)
+
+    @cached_property
+    def led(self) -> np.ndarray:
+        """`led_by_counter` as numbers (3,)."""
+        return np.array(self.led_by_counter, dtype=float)
 
     @cached_property
     def gates(self) -> tuple[float, float, float]:

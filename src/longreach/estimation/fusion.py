@@ -63,7 +63,7 @@ class Correction(NamedTuple):
 class Snapshot(NamedTuple):
     """The filter after one event (None: the start): mean (10 + 3m,), P, anchors as source → (number, stamp)."""
 
-    key: tuple[float, bool, str]
+    key: tuple[float, int, str]
     event: Event | None
     mean: np.ndarray
     P: np.ndarray
@@ -117,9 +117,13 @@ def _belief(stamp: float, mean: np.ndarray, P: np.ndarray) -> Belief:
     return Belief(stamp, mean[:3], mean[3:6], mean[6:9], float(mean[9]), P[:10, :10])
 
 
-def _key(event: Event) -> tuple[float, bool, str]:
-    """Order of events; at one stamp an anchor comes last, so that what refers to the former anchor still finds it."""
-    return event.stamp, isinstance(event, Anchor), event.source
+def _key(event: Event) -> tuple[float, int, str]:
+    """Order of events at one stamp: a counter's step first, which tells the others where to look.
+
+    An anchor comes last, so that what refers to the former anchor still finds it.
+    """
+    steps = isinstance(event, RelativePoseMeasurement) and event.reading_covariance is not None
+    return event.stamp, 2 if isinstance(event, Anchor) else 0 if steps else 1, event.source
 
 
 def in_order(events: Iterable[Event]) -> list[Event]:
@@ -155,7 +159,7 @@ def init(
             "The filter must start at a finite stamp and pose, with a positive semidefinite covariance."
         )
     mean.flags.writeable = P.flags.writeable = False
-    return FusionState(config, (Snapshot((float(stamp), False, ""), None, mean, P, {}, {}),))
+    return FusionState(config, (Snapshot((float(stamp), -1, ""), None, mean, P, {}, {}),))
 
 
 def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:
@@ -208,7 +212,7 @@ def _at_the_door(state: FusionState, stamp: float) -> tuple[str, _Ahead | None]:
 
 
 def _take(
-    config: FilterConfig, before: Snapshot, key: tuple[float, bool, str], event: Event
+    config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event
 ) -> tuple[Snapshot, Correction]:
     """Predict to the event's stamp, then place the anchor or correct by the measurement."""
     mean, P, original = before.mean, before.P, event
@@ -222,13 +226,17 @@ def _take(
         return after, Correction(event.stamp, event.source, "used")
     tally, anchors = before.tallies.get(event.source, Tally()), before.anchors
     if isinstance(event, RelativePoseMeasurement):
-        mean, P, anchors, event = _carried(anchors, mean, P, event)
+        mean, P, anchors, event = _carried(config, anchors, mean, P, event)
     mean, P, tally, correction = _correct(config, anchors, mean, P, tally, event)
     return Snapshot(key, original, mean, P, anchors, {**before.tallies, event.source: tally}), correction
 
 
 def _carried(
-    anchors: Mapping[str, tuple[int, float]], mean: np.ndarray, P: np.ndarray, step: RelativePoseMeasurement
+    config: FilterConfig,
+    anchors: Mapping[str, tuple[int, float]],
+    mean: np.ndarray,
+    P: np.ndarray,
+    step: RelativePoseMeasurement,
 ) -> tuple[np.ndarray, np.ndarray, Mapping[str, tuple[int, float]], RelativePoseMeasurement]:
     """Take a step between two readings of a counter: the anchor goes along, and stands where the counter says we are.
 
@@ -239,7 +247,7 @@ def _carried(
     R = step.reading_covariance
     if R is None or placed != step.stamp_reference or not np.all(np.isfinite(step.pose)):
         return mean, P, anchors, step
-    mean, P = ekf.carry(mean, P, number, step.pose, step.covariance)
+    mean, P = ekf.carry(mean, P, number, step.pose, step.covariance, config.led)
     anchors = {**anchors, step.source: (number, step.stamp)}
     at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
     return mean, P, anchors, at_anchor

@@ -99,8 +99,9 @@ def observe_twist(mean: Mean, measurement: TwistMeasurement) -> Observation:
 def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
     """z = X, its error n in the world's axes: H = blkdiag(R(θ), 1) on ξ.
 
-    With d = log(X⁻¹ · z) known, that is with all three measured, ours is R(θ_z) d = R(θ_z) J_r(d) ξ + n: linearised at
-    the measurement, so that a first fix after a holiday lands on the pose measured however far that is.
+    With d = log(X⁻¹ · z) known, that is with all three measured, ours is R(θ_z) d = R(θ_z) Ad(exp(-d)) ξ + n:
+    linearised at the measurement, with the error seen from there, so that a first fix after a holiday lands on the pose
+    measured however far that is.
     """
     return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
 
@@ -108,9 +109,13 @@ def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
 def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, anchor: int) -> Observation:
     """z = anchor⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · anchor⁻¹ · X).
 
-    H = J_r(-e) on ξ and -Ad(z⁻¹) on the anchor's error: the derivatives of e at X · exp(-e), where it is 0, and not at
-    X, where they would be J_r⁻¹(e) and -J_r⁻¹(e) Ad(X⁻¹ · anchor). Both agree as e goes to 0, but this one is exact in
-    X, so that steps that were badly predicted still compound as dead reckoning does, mean and covariance.
+    H = Ad(exp(e)) on ξ and -Ad(z⁻¹) on the anchor's error: the derivatives of e at X · exp(-e), where it is 0, with the
+    error seen from there. At X they would be J_r⁻¹(e) and -J_r⁻¹(e) Ad(X⁻¹ · anchor); both agree as e goes to 0. This
+    one is exact in X, so that steps that were badly predicted still compound as dead reckoning does, mean and
+    covariance. And H vanishes on errors Ad(X⁻¹) g, Ad(anchor⁻¹) g that all poses share, which no relative pose can
+    tell; else the filter grows certain of a heading that nothing measures, and goes astray with it.
+    Source: Huang, Mourikis & Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
+    estimators".
     """
     return Observation(
         *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), anchor)

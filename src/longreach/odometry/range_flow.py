@@ -51,7 +51,7 @@ class RangeFlowConfig(BaseModel):
     blend_covariance: float = Field(default=5000.0, ge=0, description="Pull to the last motion per variance; SRF 2018.")
     blend_constant: float = Field(default=0.02, ge=0, description="Constant pull to the last motion [1]; SRF 2018.")
     share: float = Field(
-        default=0.06,
+        default=0.02,
         ge=0,
         description="Deviation of a translation in distances between beams, from aliasing [1]; ours.",
     )
