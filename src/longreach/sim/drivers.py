@@ -15,6 +15,7 @@ from longreach.robot.bases import MecanumBase
 from longreach.robot.chain import JointLimits
 
 _GRIP_SPEED = 1.0  # of the fingers when told a position [1/s]; ours
+_HARDEST = 1e3  # acceleration of a joint that says none [rad/s²]; ours
 _GRIP_FORCE = 60.0  # at the tips [N]; Robotiq's 3-finger gripper
 
 
@@ -23,7 +24,7 @@ def _ramp(
 ) -> Float[np.ndarray, "count n"]:
     """Return the next `count` values on the way to `wanted`, each at most `step` from the one before."""
     reach = np.arange(1, count + 1)[:, None] * step
-    return value + np.clip(wanted - value, -reach, reach)
+    return value + np.maximum(np.minimum(wanted - value, reach), -reach)  # np.clip takes three times as long
 
 
 @dataclass
@@ -63,7 +64,11 @@ class ArmDriver:
 
     def take_speeds(self, speeds: Float[np.ndarray, " n"], until: float) -> None:
         """Hold speeds [rad/s] up to a time."""
-        self.wanted, self.until, self.angles = np.clip(speeds, -self.limits.velocity, self.limits.velocity), until, False
+        self.wanted, self.until, self.angles = (
+            np.clip(speeds, -self.limits.velocity, self.limits.velocity),
+            until,
+            False,
+        )
 
     def take_angles(self, q: Float[np.ndarray, " n"], arrival: float) -> None:
         """Go to angles [rad] evenly until `arrival`, and stay."""
@@ -85,9 +90,8 @@ class ArmDriver:
             v = np.where(np.arange(count)[:, None] < left, each / dt, 0.0)
         else:
             wanted = self.wanted if now < self.until else np.zeros(len(self.q))
-            hardest = np.where(np.isfinite(self.limits.acceleration), self.limits.acceleration, 1e3)
-            v = _ramp(self.v, wanted, hardest * dt, count)
-        q = np.clip(self.q + dt * np.cumsum(v, axis=0), self.limits.lower, self.limits.upper)
+            v = _ramp(self.v, wanted, np.minimum(self.limits.acceleration, _HARDEST) * dt, count)
+        q = np.maximum(np.minimum(self.q + dt * v.cumsum(axis=0), self.limits.upper), self.limits.lower)
         self.q, self.v = q[-1], v[-1]
         return q, v
 

@@ -22,7 +22,7 @@ def numbers(values: object) -> str:
 
 
 def roller_axis(name: str) -> Float[np.ndarray, "3"]:
-    """Return the axis of the roller that touches the floor, seen from the base, for a wheel with its corner in its name.
+    """Return the axis of the roller that touches the floor, seen from the base; the wheel's name tells its corner.
 
     No force acts across it: (v_x - l_y ω - r w) + c (v_y + l_x ω) = 0 with the axis (1, c, 0)/√2 is a row of (3.21)
     where c = -1 for front left and rear right, +1 for the other two.

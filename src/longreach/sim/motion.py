@@ -2,13 +2,12 @@
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import ConfigError
-from longreach.geometry import se2
+from longreach.geometry import se3, so3
 from longreach.robot.bases import MecanumBase
 from longreach.robot.chain import JointLimits
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -19,8 +18,11 @@ from longreach.sim.worlds import World
 
 PAST = 64  # steps that are remembered: more than a sweep of the laser and the steps that are taken at once
 AT_ONCE = 20
+_PAGE = 1024  # rows of a memory before it is copied back to its top
 _SETTLE = 0.3  # [s] for the wheels to sink into the floor before time begins
 LEVER = 0.1  # of a finger, from its tip to its joint [m]
+
+Glimpse = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # rows of the memories bases, qpos, qvel, sensed
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ def arm_limits(robot: MobileManipulator) -> JointLimits:
 
 
 class Motion:
-    """A robot in a world, moved by its drivers; after each step its state is the last row of four memories.
+    """A robot in a world, moved by its drivers; after each step its state is the last row of four memories (PAST, ...).
 
     qpos, qvel, sensed: as MuJoCo has them; bases (PAST, 3): poses of the base, headings not wrapped.
     """
@@ -54,8 +56,14 @@ class Motion:
         self.data = engine().MjData(self.model)
         self.at = Places(robot, self.model)
         self._place(q)
-        self.qpos, self.qvel = np.tile(self.data.qpos, (PAST, 1)), np.tile(self.data.qvel, (PAST, 1))
-        self.sensed, self.bases = np.tile(self.data.sensordata, (PAST, 1)), np.tile(q[robot.base], (PAST, 1))
+        mujoco = engine()
+        self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.empty(mujoco.mj_stateSize(self.model, self._full))
+        mujoco.mj_getState(self.model, self.data, state, self._full)
+        start = (state, self.data.sensordata, q[robot.base])
+        self._pages, self._end = [np.tile(values, (_PAGE, 1)) for values in start], PAST
+        self._turn(0)
+        self._rollout = engine("rollout").Rollout(nthread=0)
         base, description = robot.description.base, robot.description
         if not isinstance(base, MecanumBase):
             raise ConfigError(f"{robot.name} has no mecanum wheels.")
@@ -82,42 +90,82 @@ class Motion:
         """The time [s]."""
         return self.step * STEP
 
+    def _turn(self, count: int) -> None:
+        """Make room for the next steps at the end of the memories; what is remembered goes to a new page's top."""
+        if self._end + count > _PAGE:
+            for page in self._pages:
+                page[:PAST] = page[self._end - PAST : self._end].copy()
+            self._end = PAST
+        self._end += count
+        state, self.sensed, self.bases = [page[self._end - PAST : self._end] for page in self._pages]
+        nq, nv = self.model.nq, self.model.nv
+        self.qpos, self.qvel = state[:, 1 : 1 + nq], state[:, 1 + nq : 1 + nq + nv]
+
     def run(self, count: int) -> None:
         """Take steps, at most AT_ONCE, and remember the state after each of them."""
-        data, take = self.data, engine().mj_step
-        for past in (self.qpos, self.qvel, self.sensed, self.bases):
-            past[:-count] = past[count:]
-        for row, ctrl in enumerate(self._controls(count), PAST - count):
-            data.ctrl[:] = ctrl
-            take(self.model, data)
-            self.qpos[row], self.qvel[row], self.sensed[row] = data.qpos, data.qvel, data.sensordata
+        self._turn(count)
+        data, (state, sensed, _), end = self.data, self._pages, self._end
+        # All steps in one call: what Python does between two of them would cost a tenth of them.
+        self._rollout.rollout(
+            [self.model],
+            [data],
+            state[None, end - count - 1].copy(),
+            self._controls(count)[None],
+            skip_checks=True,
+            nstep=count,
+            initial_warmstart=data.qacc_warmstart[None].copy(),
+            state=state[None, end - count : end],
+            sensordata=sensed[None, end - count : end],
+        )
         w, x, y, z = self.qpos[-count:, 3:7].T
         heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        before = self.bases[-count - 1, 2]
         self.bases[-count:, :2] = self.qpos[-count:, :2]
-        self.bases[-count:, 2] = np.unwrap(np.append(self.bases[-count - 1, 2], heading))[1:]
+        self.bases[-count:, 2] = before + _wrapped(heading - before)  # it turns by far less than π
         self.step += count
 
     def _controls(self, count: int) -> Float[np.ndarray, "count motors"]:
         """Return what the drivers tell each motor in the next steps."""
-        at, model, now = self.at, self.model, self.stamp
-        ctrl = np.empty((count, model.nu))
+        at, now = self.at, self.stamp
+        ctrl = np.empty((count, self.model.nu))
         ctrl[:, at.wheel_motors] = self.base.speeds(now, STEP, count)
         q, v = self.arm.steps(now, STEP, count)
         # A motor's force is k (u - q) - d q̇ with d = 2 k / stiffness; this u makes it k (q_d - q) + d (v_d - q̇).
         ctrl[:, at.arm_motors] = q + 2.0 / self._stiffness * v
         ctrl[:, at.finger_motors] = self.gripper.next(count * STEP) * at.closed
-        model.actuator_forcerange[at.finger_motors] = np.array([-1.0, 1.0]) * LEVER * self.gripper.force
+        torque = LEVER * self.gripper.force
+        self.model.actuator_forcerange[at.finger_motors] = (-torque, torque)
         return ctrl
 
     def truth(self) -> Truth:
         """Return what is, now."""
         data, at = self.data, self.at
         engine().mj_kinematics(self.model, data)  # MuJoCo places the bodies before a step, not after it
+        R = data.xmat[at.last].reshape(3, 3)
+        return self._truth(self.step, self.bases[-1], self.qpos[-1], self.qvel[-1], data.xpos[at.last], R)
+
+    def glimpse(self, row: int) -> Glimpse:
+        """Return what `truth_of` needs of one step before a remembered one: only after it all places are known."""
+        return self.bases[row - 1].copy(), self.qpos[row - 1].copy(), self.qvel[row - 1].copy(), self.sensed[row].copy()
+
+    def truth_of(self, step: int, glimpse: Glimpse) -> Truth:
+        """Return what was at a step of which there is a glimpse."""
+        base, qpos, qvel, sensed = glimpse
+        p, x, y = sensed[self.at.last_frame].reshape(3, 3)
+        return self._truth(step, base, qpos, qvel, p, np.column_stack([x, y, so3.hat(x) @ y]))
+
+    def _truth(
+        self, step: int, base: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, p: np.ndarray, R: np.ndarray
+    ) -> Truth:
+        """Return what was at a step, when the last link was at p and R."""
         q = self.robot.home
-        q[self.robot.base], q[self.robot.arm] = self.bases[-1], data.qpos[at.arm]
-        T_world_last = np.eye(4)
-        T_world_last[:3, :3], T_world_last[:3, 3] = data.xmat[at.last].reshape(3, 3), data.xpos[at.last]
-        R = data.xmat[at.root].reshape(3, 3)
-        twist = np.append((R.T @ data.qvel[:3])[:2], data.qvel[5])
-        base = se2.compose(np.zeros(3), self.bases[-1])
-        return Truth(self.stamp, base, twist, q, T_world_last @ at.T_last_tool)
+        q[self.robot.base], q[self.robot.arm] = base, qpos[self.at.arm]
+        c, s = math.cos(base[2]), math.sin(base[2])
+        twist = np.array([c * qvel[0] + s * qvel[1], -s * qvel[0] + c * qvel[1], qvel[5]])
+        T_world_tool = se3.from_rotation_translation(R, p) @ self.at.T_last_tool
+        return Truth(step * STEP, np.append(base[:2], _wrapped(base[2])), twist, q, T_world_tool)
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    """Return angles within ±π."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi

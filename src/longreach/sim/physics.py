@@ -50,7 +50,7 @@ class PhysicsConfig(BaseModel):
 class Simulation:
     """A robot in a world; see `longreach.control.hardware.Hardware`. Time passes in `advance` alone.
 
-    The same arguments and the same calls give the same readings, bit for bit. `truths`: what motion capture saw.
+    The same arguments and the same calls give the same readings, bit for bit.
 
     Arguments: world: a name, a YAML file or a `World`; floor: how it grips, where not as the world says; q (n,): where
     the robot stands at the start, base first, else at its home.
@@ -73,7 +73,7 @@ class Simulation:
         world = world if isinstance(world, World) else load_world(world)
         self.world = world if floor is None else world.with_floor(floor)
         self._motion = Motion(robot, self.world, robot.home if q is None else q, self.config.stiffness)
-        self._pictures, self._stopped, self.truths = Pictures(self._motion.model), "", list[Truth]()
+        self._pictures, self._stopped, self._glimpses = Pictures(self._motion.model), "", []
         self._fit_sensors(seed)
         self._sense()
 
@@ -98,9 +98,9 @@ class Simulation:
     def read(self) -> Readings:
         """Return everything that has arrived since the last call."""
         new = {kind: line.take(self.stamp) for kind, line in self._lines.items()}
-        joints, closed, gripper = new["joints"], self._motion.at.closed, None
-        if joints and len(closed):
-            gripper = gripper_state(joints[-1], len(closed), closed, LEVER)
+        joints, share, gripper = new["joints"], self._motion.at.share, None
+        if joints and len(share):
+            gripper = gripper_state(joints[-1], share, LEVER)
         return Readings(self.stamp, new["wheels"], new["lidar"], new["imu"], joints, new["wrench"], gripper)
 
     def write(self, command: Command) -> None:
@@ -114,7 +114,7 @@ class Simulation:
         motion, until = self._motion, self.stamp + self.config.timeout
         for part, count in (("base", 3), ("arm", len(motion.at.arm_names))):
             value = getattr(command, part)
-            if value is not None and not (len(value) == count and np.all(np.isfinite(value))):
+            if value is not None and not (len(value) == count and np.isfinite(value).all()):
                 raise ControlError(f"The {part} takes {count} finite numbers, but the command has {value}.")
         if command.base is not None:
             motion.base.take(command.base, until)
@@ -142,15 +142,18 @@ class Simulation:
         motion = self._motion
         end = motion.step + round(duration / STEP)
         while motion.step < end:
-            to_truth = math.ceil(self._lines["truth"].due / STEP - 1e-6) - motion.step
-            motion.run(min(AT_ONCE, end - motion.step, max(to_truth, 1)))
+            motion.run(min(AT_ONCE, end - motion.step))
             self._sense()
-        if not np.all(np.isfinite(motion.qpos[-1])):
+        if not np.isfinite(motion.qpos[-1]).all():
             raise ConfigError("The physics has become unstable; send gentler commands.")
 
     def truth(self) -> Truth:
         """Return what really is, now."""
         return self._motion.truth()
+
+    def truths(self) -> list[Truth]:
+        """Return what motion capture saw so far, at its rate."""
+        return [self._motion.truth_of(step, glimpse) for step, glimpse in self._glimpses]
 
     def image(self, camera: str = "overview", width: int = 640, height: int = 480) -> UInt8[np.ndarray, "h w 3"]:
         """Return what a camera sees now (height, width, 3), RGB: overview, or a camera of the robot.
@@ -175,42 +178,42 @@ class Simulation:
             self._imu = Gyro(description.imu, sensors.imu.rate, self._noise["imu"])
         self._load = load_of(self.robot, motion.model, motion.data)
 
-    def _due(self, kind: str, lag: float = 0.0) -> Iterator[tuple[Line, float, int]]:
-        """Yield each reading that is finished, `lag` [s] after its stamp: its sensor, its stamp, its row in the memory."""
+    def _due(self, kind: str, lag: float = 0.0) -> Iterator[tuple[Line, int, int]]:
+        """Yield each reading whose end, `lag` [s] after it was due, has passed: its sensor, the step, its row."""
         line, now = self._lines[kind], self._motion.step
         while (step := math.ceil((line.due + lag) / STEP - 1e-6)) <= now:
-            stamp = line.due if lag else step * STEP
+            yield line, step, PAST - 1 - (now - step)
             line.count += 1
-            yield line, stamp, PAST - 1 - (now - step)
 
     def _mean(self, line: Line, row: int) -> tuple[Float[np.ndarray, " n"], float]:
         """Return the mean of what was sensed in the time between two readings, and how old that is [s]."""
         count = min(max(round(1.0 / (line.timing.rate * STEP)), 1), PAST - AT_ONCE)
         # MuJoCo computes these numbers before it takes the step: they are one step old.
-        return self._motion.sensed[row - count + 1 : row + 1].mean(axis=0), (0.5 * (count - 1) + 1.0) * STEP
+        return self._motion.sensed[row - count + 1 : row + 1].sum(axis=0) / count, (0.5 * (count - 1) + 1.0) * STEP
 
     def _sense(self) -> None:
         """Let every sensor read that is due, and send what it read on its way."""
         motion, at, config, noise = self._motion, self._motion.at, self.config.sensors, self._noise
-        for line, stamp, i in self._due("wheels"):
+        for line, step, i in self._due("wheels"):
             angles, speeds = motion.qpos[i, at.wheels], motion.qvel[i, at.wheel_speeds]
-            line.send(read_wheels(stamp, angles, speeds, self._encoder), stamp)
+            line.send(read_wheels(step * STEP, angles, speeds, self._encoder), step * STEP)
         if self._scanner is not None:
             first, sweep = self.stamp - (PAST - 1) * STEP, self._scanner.duration
-            for line, stamp, _ in self._due("lidar", sweep):
-                line.send(self._scanner.read(stamp, first, STEP, motion.bases, noise["lidar"]), stamp + sweep)
+            for line, _, _ in self._due("lidar", sweep):
+                line.send(self._scanner.read(line.due, first, STEP, motion.bases, noise["lidar"]), line.due + sweep)
         if self._imu is not None:
-            for line, stamp, i in self._due("imu"):
+            for line, step, i in self._due("imu"):
                 mean, age = self._mean(line, i)
-                line.send(self._imu.read(stamp - age, mean[at.gyro], mean[at.force]), stamp)
-        for line, stamp, i in self._due("joints"):
+                line.send(self._imu.read(step * STEP - age, mean[at.gyro], mean[at.force]), step * STEP)
+        for line, step, i in self._due("joints"):
             values = [motion.qpos[i, at.joints], motion.qvel[i, at.joint_speeds], motion.sensed[i, at.efforts]]
-            line.send(read_joints(stamp, at.joint_names, np.stack(values), config.joints, noise["joints"]), stamp)
+            reading = read_joints(step * STEP, at.joint_names, np.stack(values), config.joints, noise["joints"])
+            line.send(reading, step * STEP)
         if self._load is not None:
-            for line, stamp, i in self._due("wrench"):
+            for line, step, i in self._due("wrench"):
                 mean, age = self._mean(line, i)
                 held, weight = mean[self._load.held], -GRAVITY * self._load.mass * mean[self._load.up]
-                wrench = read_wrench(stamp - age, held, weight, self._load.centre, config.wrench, noise["wrench"])
-                line.send(wrench, stamp)
-        for _ in self._due("truth"):
-            self.truths.append(self.truth())
+                stamp, centre = step * STEP - age, self._load.centre
+                line.send(read_wrench(stamp, held, weight, centre, config.wrench, noise["wrench"]), step * STEP)
+        for _, step, i in self._due("truth", STEP):
+            self._glimpses.append((step - 1, motion.glimpse(i)))

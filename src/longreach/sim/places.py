@@ -33,10 +33,13 @@ class Places:
         joints = {joint.name: joint for joint in urdf.joints}
         last = joints[self.arm_names[-1]].child if n else urdf.root
         self.root, self.last = int(model.body(urdf.root).id), int(model.body(last).id)
+        self.last_frame = slice(sensed(model, "last_pos").start, sensed(model, "last_yaxis").stop)
         self.T_last_tool = robot.chain.relative(last, robot.tool)
-        # Angles of the fingers' joints when closed.
+        # Angles of the fingers' joints when closed, and what each one's angle says of how far they are.
         closed = [0.0 if name.endswith(_SPREAD) else joints[name].limits.upper for name in self.finger_names]
         self.closed = np.array(closed)
+        moving = max(np.count_nonzero(self.closed), 1)
+        self.share = np.array([1.0 / (moving * angle) if angle > 0 else 0.0 for angle in closed])
 
 
 def _rows(model: Any, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -54,7 +57,7 @@ def sensed(model: Any, name: str) -> slice:
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What hangs on the force-torque sensor: its mass [kg], its centre (3,) [m] in the sensor's frame, where it is felt.
+    """What hangs on the force-torque sensor: its mass [kg] and its centre (3,) [m] in the sensor's frame.
 
     held: rows of force and torque in what is sensed; up: rows of the world's z in the sensor's frame.
     """

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.control.hardware import GripperState, Wrench
-from longreach.geometry import se2
+from longreach.geometry import se2, so3
 from longreach.measurement import Imu, JointState, LaserScan, WheelSpeeds, WheelTicks
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount
 from longreach.sim._sweep_kernels import sweep
@@ -96,7 +96,7 @@ class Line:
 
     def take(self, now: float) -> tuple[Any, ...]:
         """Return what has arrived by `now` [s]."""
-        n = sum(1 for arrival, _ in self.waiting if arrival <= now + _ROUNDING)
+        n = sum(arrival <= now + _ROUNDING for arrival, _ in self.waiting)
         taken, self.waiting = self.waiting[:n], self.waiting[n:]
         return tuple(reading for _, reading in taken)
 
@@ -120,13 +120,17 @@ class Scanner:
     timing: LidarTiming
     walls: Float[np.ndarray, "m 4"]
     angles: Float[np.ndarray, " b"]
+    mount: Float[np.ndarray, "3"]  # T_base_laser in the plane
+    room: Float[np.ndarray, "b 5"]  # for the kernel to work in
 
     @classmethod
     def of(cls, lidar: Lidar, timing: LidarTiming, walls: Float[np.ndarray, "m 4"]) -> "Scanner":
         """Return the scanner of a description; what that does not say is the UST-10LX's."""
         first = _FIRST_BEAM if lidar.angle_min is None else lidar.angle_min
         beams = _BEAMS if lidar.angle_increment is None else round(-2.0 * first / lidar.angle_increment) + 1
-        return cls(lidar, timing, walls, first - 2.0 * first / (beams - 1) * np.arange(beams))
+        angles = first - 2.0 * first / (beams - 1) * np.arange(beams)
+        mount = se2.from_se3((lidar.mount or Mount()).matrix())
+        return cls(lidar, timing, walls, angles, mount, np.empty((beams, 5)))
 
     @property
     def beam_time(self) -> float:
@@ -142,11 +146,10 @@ class Scanner:
         self, stamp: float, first: float, dt: float, bases: Float[np.ndarray, "n 3"], rng: np.random.Generator
     ) -> LaserScan:
         """Sweep while the base passes through `bases`, its poses at first + i dt [s], headings not wrapped."""
-        T_base_laser = se2.from_se3((self.lidar.mount or Mount()).matrix())
-        lasers = se2.compose(bases, T_base_laser)
-        lasers[:, 2] = bases[:, 2] + T_base_laser[2]
+        lasers = se2.compose(bases, self.mount)
+        lasers[:, 2] = bases[:, 2] + self.mount[2]
         ranges = np.empty(len(self.angles))
-        sweep(lasers, first, dt, stamp, self.beam_time, self.angles, self.walls, ranges)
+        sweep(lasers, first, dt, stamp, self.beam_time, self.angles, self.walls, self.room, ranges)
         ranges += self.timing.range_deviation * rng.standard_normal(len(ranges))
         nearest, farthest = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf
         ranges[rng.random(len(ranges)) < self.timing.lost_beams] = math.inf
@@ -175,7 +178,11 @@ class Gyro:
 
 
 def read_joints(
-    stamp: float, names: tuple[str, ...], values: Float[np.ndarray, "3 n"], timing: JointTiming, rng: np.random.Generator
+    stamp: float,
+    names: tuple[str, ...],
+    values: Float[np.ndarray, "3 n"],
+    timing: JointTiming,
+    rng: np.random.Generator,
 ) -> JointState:
     """Return angles [rad], speeds [rad/s] and torques [N m] of joints as their controller tells them."""
     noise = rng.standard_normal((2, len(names)))
@@ -198,17 +205,15 @@ def read_wrench(
     """
     noise = rng.standard_normal((2, 3))
     force = -held[:3] - weight + timing.force_deviation * noise[0]
-    torque = -held[3:] - np.cross(centre, weight) + timing.torque_deviation * noise[1]
+    torque = -held[3:] - so3.hat(centre) @ weight + timing.torque_deviation * noise[1]
     return Wrench(stamp, force, torque)
 
 
-def gripper_state(joints: JointState, fingers: int, closed: Float[np.ndarray, " k"], lever: float) -> GripperState:
-    """Return how far the fingers, the last joints, are closed, of angles `closed` [rad], and with what force [N].
+def gripper_state(joints: JointState, share: Float[np.ndarray, " k"], lever: float) -> GripperState:
+    """Return how far the fingers, the last joints, are closed, how fast [1/s], and with what force at the tips [N].
 
-    lever: of a finger, from its tip to its joint [m].
+    share (k,) [1/rad]: what a joint's angle says of that; lever: of a finger, from its tip to its joint [m].
     """
-    moving = closed > 0
-    part = joints.position[-fingers:][moving] / closed[moving]
-    speed = joints.velocity[-fingers:][moving] / closed[moving]
-    force = np.abs(joints.effort[-fingers:][moving]).mean() / lever
-    return GripperState(joints.stamp, float(part.mean()), float(speed.mean()), float(force))
+    k, moving = len(share), np.count_nonzero(share)
+    force = float(np.abs(joints.effort[-k:]) @ (share > 0)) / (moving * lever)
+    return GripperState(joints.stamp, float(joints.position[-k:] @ share), float(joints.velocity[-k:] @ share), force)

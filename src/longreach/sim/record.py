@@ -1,0 +1,86 @@
+"""Recordings of drives with physics, in the form that `longreach.sim.kinematic` gives: sensors, and the truth."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.control.hardware import Command
+from longreach.errors import ConfigError
+from longreach.geometry import se2
+from longreach.measurement import Recording
+from longreach.robot.description import Mount
+from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim.drive import make_drive, middle, move
+from longreach.sim.physics import PhysicsConfig, Simulation
+from longreach.sim.worlds import load_world
+from longreach.trajectory import PoseTrajectory
+
+_WATCHED = 1.0  # how fast whoever steers takes back an error that is seen [1/s]; ours
+_AFTER = 0.1  # [s] for what is still under way at the end
+
+
+def record(simulation: Simulation, twists: Callable[[float], Float[np.ndarray, "3"]], duration: float) -> Recording:
+    """Drive a base by body twists for a time and return what its sensors said, and the truth.
+
+    twists: from the time since the start [s] to [v_x, v_y, ω]; asked for at the rate at which the base takes commands.
+    duration [s]. What the simulation has not been asked for before belongs to the recording.
+    """
+    if not 0.0 < duration < np.inf:
+        raise ConfigError(f"A drive lasts longer than 0 s, but {duration} s was asked for.")
+    start, dt = simulation.stamp, 1.0 / simulation.promises.base_rate
+    readings = []
+    for i in range(round(duration / dt)):
+        simulation.write(Command(simulation.stamp, base=np.asarray(twists(i * dt), dtype=float)))
+        simulation.advance(start + (i + 1) * dt - simulation.stamp)
+        readings.append(simulation.read())
+    simulation.write(Command(simulation.stamp, base=np.zeros(3)))
+    simulation.advance(_AFTER)
+    readings.append(simulation.read())
+    truths = [truth for truth in simulation.truths() if truth.stamp >= start]
+    description = simulation.robot.description
+    return Recording(
+        name=f"{simulation.world.name}-{simulation.world.friction:g}",
+        wheels=tuple(w for r in readings for w in r.wheels),
+        scans=tuple(s for r in readings for s in r.scans),
+        imu=tuple(m for r in readings for m in r.imu),
+        joints=tuple(j for r in readings for j in r.joints),
+        truth=PoseTrajectory(np.array([t.stamp for t in truths]), np.array([t.base for t in truths])),
+        mounts={
+            sensor.frame: (sensor.mount or Mount()).matrix()
+            for sensor in (description.lidar, description.imu)
+            if sensor is not None and sensor.frame is not None
+        },
+    )
+
+
+def make_recording(
+    robot: MobileManipulator,
+    *,
+    seed: int = 0,
+    duration: float = 60.0,
+    floor: str | float | None = None,
+    config: PhysicsConfig | None = None,
+) -> Recording:
+    """Drive fast and erratically through the laboratory and return what the sensors said, and the truth.
+
+    The drive is that of `kinematic.make_recording` with the same robot, seed and duration, steered by someone who sees
+    the base and takes back what slip has done; the room is as there. Its first pose is the world, its first stamp 0.
+
+    Arguments: duration [s], at least 1; floor: a name of `worlds.FLOORS` or a coefficient of friction.
+
+    Raises:
+        ConfigError: MuJoCo is not installed, the robot has no physics, or duration or floor are none.
+    """
+    if not 1.0 <= duration < np.inf:
+        raise ConfigError(f"A recording of {duration} s cannot be made; it takes at least 1 s.")
+    for_drive, _ = np.random.default_rng(seed).spawn(2)
+    drive = make_drive(robot.description, duration, for_drive)
+    world = load_world("laboratory").moved(*middle(drive))
+    simulation = Simulation(robot, world, seed=seed, floor=floor, config=config)
+
+    def steered(t: float) -> Float[np.ndarray, "3"]:
+        motion = move(drive, np.array([t]))
+        return motion.twist[0] + _WATCHED * se2.difference(simulation.truth().base, motion.poses[0])
+
+    return record(simulation, steered, duration).replace(name=f"physics-{seed}")
