@@ -10,7 +10,7 @@ demo: .venv/.installed
 
 # LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
 test: .venv/.installed-dev
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses=auto
 
 check: .venv/.installed-dev
 	$(BIN)/ruff check
