@@ -5,7 +5,9 @@ import piqp
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from longreach.planning.subproblem import _EXACT, _FLOOR, Step, Subproblem
+from longreach.planning.subproblem import EXACT, Step, Subproblem
+
+_FLOOR = 1e-8  # curvature where the problem has none
 
 
 def elastic(
@@ -40,7 +42,7 @@ def elastic(
     lower = np.concatenate([np.maximum(q.lower[:, r:], -q.reach).ravel(), np.zeros(2 * m)])
     upper = np.concatenate([np.minimum(q.upper[:, r:], q.reach).ravel(), np.full(2 * m, np.inf)])
     solver = piqp.SparseSolver()
-    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 100 * _EXACT
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 100 * EXACT
     equations, others = G[: N * e].tocsc(), G[N * e :].tocsc()
     solver.setup(
         sp.triu(P).tocsc(), np.concatenate([q.g.ravel(), price, price]), equations, -c.ravel(), others, low, high,

@@ -69,10 +69,12 @@ class Program:
         at = Waypoints(self.robot, self.reference, self.index[which].ravel(), x.reshape(-1, x.shape[-1]))
         return evaluate(self.feasibility, at).c.reshape(*x.shape[:2], -1)
 
-    def bounds(self, which: Int[np.ndarray, " B"], N: int) -> tuple[Float[np.ndarray, "B N m"], Float[np.ndarray, "B N m"]]:
+    def bounds(
+        self, which: Int[np.ndarray, " B"], N: int
+    ) -> tuple[Float[np.ndarray, "B N m"], Float[np.ndarray, "B N m"]]:
         """Return the lower and upper bounds of the constraints' values."""
-        m = self.layout.lower.shape[1]
-        return self.layout.lower.reshape(-1, N, m)[which], self.layout.upper.reshape(-1, N, m)[which]
+        shape = (len(self.index), N, self.layout.lower.shape[1])
+        return self.layout.lower.reshape(shape)[which], self.layout.upper.reshape(shape)[which]
 
     def objective(self, x: Trajectories, f: Float[np.ndarray, "B N"]) -> Float[np.ndarray, " B"]:
         """Return each problem's cost (B,)."""

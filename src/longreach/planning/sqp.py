@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.planning import sqp_rounds as rounds
 from longreach.planning.program import Program
-from longreach.planning.subproblem import Sequence
+from longreach.planning.sequence import Sequence
 
 _TRIAL = 2  # rounds before rivals are compared
 _CLEARLY = 2e-3  # of the merit: what is behind by that much will not win
@@ -35,9 +35,10 @@ class SqpConfig(BaseModel):
     penalty: float = Field(10.0, gt=0)  # μ of each constraint at first
     raise_by: float = Field(10.0, gt=1)  # k, of the penalties of constraints that are still violated
     raises: int = Field(5, ge=0)  # how often at most
+    stalled: float = Field(1e-4, gt=0)  # part of the merit: with less to gain, violated constraints stay so at this μ
     curvature_floor: float = Field(1e-3, gt=0)  # the least curvature of a subproblem, so that it is convex
     iterations: int = Field(60, ge=1)  # at most, of all penalties together
-    stationary: float = Field(1e-7, gt=0)  # the KKT residual of an answer called solved
+    stationary: float = Field(5e-7, gt=0)  # the KKT residual of an answer called solved
     feasible: float = Field(1e-8, gt=0)  # its largest violation [m, rad, or the constraint's unit]
     budget: float = Field(float("inf"), gt=0)  # [s]; then the best that was found counts
 
@@ -62,7 +63,7 @@ class Run:
     mu_links: Float[np.ndarray, " l"]
     lam: Float[np.ndarray, "B N m"]
     lam_limits: Float[np.ndarray, "B N n"]
-    lam_links: list[Float[np.ndarray, "k n"]]
+    lam_links: list[np.ndarray]
     H: Float[np.ndarray, "B N p p"]
     kkt: Float[np.ndarray, " B"]
     fresh: Bool[np.ndarray, " B"]

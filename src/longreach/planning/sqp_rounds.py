@@ -11,13 +11,14 @@ from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.elastic import elastic
 from longreach.planning.problem import bending
 from longreach.planning.program import Program
-from longreach.planning.subproblem import Difference, Step, Subproblem, banded, link_bands, one_waypoint
+from longreach.planning.sequence import banded, link_bands
+from longreach.planning.subproblem import Difference, Step, Subproblem, one_waypoint
 
 if TYPE_CHECKING:
     from longreach.planning.sqp import Run
 
 _DIFFERENCE = 1e-6  # [rad, m] between the gradients whose difference is the curvature
-_ROUNDING = 1e-12  # of the merit: an improvement less than that cannot be seen
+_ROUNDING = 1e-11  # of the merit: an improvement less than that cannot be seen
 _NEAR = 1e-3  # a KKT residual below which the curvature changes no more
 _STILL = 1e-11  # [rad, m], a step that is none
 _HOLDS = 1e-6  # a multiplier that is more than rounding
@@ -67,7 +68,9 @@ def _factors(A: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     b, N, e, n = A.shape
     w = b * N
     Q, R, d, independent = np.empty((w, n, n)), np.empty((w, e, e)), np.empty((w, n)), np.empty(w, dtype=bool)
-    kernels.eliminate(np.ascontiguousarray(A).reshape(w, e, n), np.ascontiguousarray(c).reshape(w, e), Q, R, d, independent)
+    kernels.eliminate(
+        np.ascontiguousarray(A).reshape(w, e, n), np.ascontiguousarray(c).reshape(w, e), Q, R, d, independent
+    )
     return Q, R, d.reshape(b, N, n), independent.reshape(b, N).all(axis=1)
 
 
@@ -84,7 +87,7 @@ def convexify(run: Run, todo: np.ndarray) -> Model:
     program, equation = run.program, run.program.layout.equation
     b, N, n = len(todo), *run.x.shape[1:]
     A, c = run.A[todo], run.c[todo]
-    goal = program.layout.lower.reshape(-1, N, len(equation))[todo]
+    goal, upper = program.bounds(todo, N)
     Q, _, d0, independent = _factors(A[:, :, equation], (c - goal)[:, :, equation])
     Z = np.ascontiguousarray(Q[:, :, equation.sum() :]).reshape(b, N, n, -1)
     renew = run.fresh[todo]
@@ -94,7 +97,6 @@ def convexify(run: Run, todo: np.ndarray) -> Model:
         run.H[todo[renew]] = _together(H, convex, Z, program.costs) if N > 1 else convex
         run.fresh[todo] = False
     low, high = program.lower - run.x[todo], program.upper - run.x[todo]
-    upper = program.layout.upper.reshape(-1, N, len(equation))[todo]
     G = np.concatenate([A[:, :, ~equation], np.broadcast_to(np.eye(n), (b, N, n, n))], axis=2)
     return Model(
         _gradient(run, todo), d0, Z, G,
@@ -168,10 +170,11 @@ def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
                 steps.found[i] = True
         d[:] = model.d0 + (model.Z @ z[:, None, :, None])[..., 0]
     elif model.independent[0]:
-        steps.put(0, run.sequence.solve(_subproblem(run, todo[0], 0, model)))
-    for i in np.flatnonzero(~steps.found):
+        steps.put(0, run.sequence.solve(_subproblem(run, int(todo[0]), 0, model)))
+    for i in np.flatnonzero(~steps.found).tolist():
         steps.gave_way[i] = True
-        steps.put(i, _give_way(run, todo[i], i, model))
+        run.H[todo[i]] = run.config.curvature_floor * np.eye(model.Z.shape[3])  # the Lagrangian's is of a solution
+        steps.put(i, _give_way(run, int(todo[i]), i, model))
     return steps
 
 
@@ -183,8 +186,8 @@ def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
 
 def _give_way(run: Run, b: int, i: int, model: Model) -> Step | None:
     equation = run.program.layout.equation
-    goal = run.program.layout.lower.reshape(-1, *run.c.shape[1:])[b]
-    c = (run.c[b] - goal)[:, equation]
+    goal, _ = run.program.bounds(np.array([b]), run.c.shape[1])
+    c = (run.c[b] - goal[0])[:, equation]
     penalties = (run.mu[b, equation], run.mu[b, ~equation], tuple(run.mu_links))
     return elastic(_subproblem(run, b, i, model), run.A[b][:, equation], c, penalties)
 
@@ -225,7 +228,8 @@ def attempt(run: Run, todo: np.ndarray, model: Model, steps: Steps) -> None:
     run.A[taken] = e.A.reshape(b, N, -1, n)[good]
     _take_multipliers(run, todo, steps)
     remember(run, taken)
-    _certify(run, todo, good, np.abs(d).max(axis=(1, 2)), steps.gave_way)
+    stalled = steps.gave_way & (promised <= run.config.stalled * np.abs(before))
+    _certify(run, todo, good, stalled | (np.abs(d).max(axis=(1, 2)) <= _STILL), steps.gave_way)
 
 
 def _modelled_merit(run: Run, todo: np.ndarray, Z: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -261,6 +265,7 @@ def _corrected(run: Run, todo: np.ndarray, x: np.ndarray, steps: Steps) -> np.nd
     kernels.correct(run.A[todo].reshape(b * N, -1, n), off.reshape(b * N, -1), used.reshape(b * N, -1), d)
     d = d.reshape(x.shape)
     small = np.abs(d).max(axis=(1, 2)) <= 0.5 * np.abs(x - run.x[todo]).max(axis=(1, 2))
+    small &= ~steps.gave_way  # there is no point nearby where all hold
     return np.clip(x + np.where(small[:, None, None], d, 0.0), run.program.lower, run.program.upper)
 
 
@@ -293,7 +298,7 @@ def _take_multipliers(run: Run, todo: np.ndarray, steps: Steps) -> None:
         run.lam_links = list(steps.links)
 
 
-def _certify(run: Run, todo: np.ndarray, good: np.ndarray, size: np.ndarray, gave_way: np.ndarray) -> None:
+def _certify(run: Run, todo: np.ndarray, good: np.ndarray, tiny: np.ndarray, gave_way: np.ndarray) -> None:
     """Find the KKT residuals of the steps taken; call solved what is, and raise penalties where nothing moves."""
     for estimate, mask in ((True, good & ~gave_way), (False, good & gave_way)):
         if mask.any():
@@ -302,10 +307,10 @@ def _certify(run: Run, todo: np.ndarray, good: np.ndarray, size: np.ndarray, gav
     worst = _worst(run.program, run.x[todo], run.c[todo], todo)
     feasible, flat = worst <= run.config.feasible, run.kkt[todo] <= run.config.stationary
     run.solved[todo] = feasible & flat
-    still = (good & (size <= _STILL)) | (run.trust[todo] < run.config.least_trust) | flat
+    still = (good & tiny) | (run.trust[todo] < run.config.least_trust) | flat
     run.done[todo] = feasible & still
     for i in np.flatnonzero(still & ~feasible):
-        _raise_penalties(run, todo[i])
+        _raise_penalties(run, int(todo[i]))
 
 
 def _raise_penalties(run: Run, b: int) -> None:
@@ -339,8 +344,8 @@ def _residual(run: Run, todo: np.ndarray, estimate: bool) -> np.ndarray:
         lam[:, :, equation] = out.reshape(b, N, -1)
         run.lam[todo] = lam
     r = r + np.einsum("bkmj,bkm->bkj", A[:, :, equation], lam[:, :, equation])
-    bounds = [part.reshape(-1, *run.c.shape[1:])[todo] for part in (run.program.layout.lower, run.program.layout.upper)]
-    slack = np.where(lam > 0, bounds[1] - run.c[todo], run.c[todo] - bounds[0])
+    lower, upper = run.program.bounds(todo, N)
+    slack = np.where(lam > 0, upper - run.c[todo], run.c[todo] - lower)
     idle = np.abs(np.where(lam == 0, 0.0, lam) * np.where(lam == 0, 0.0, np.maximum(slack, 0.0)))
     return np.maximum(np.abs(r).max(axis=(1, 2), initial=0.0), idle.max(axis=(1, 2), initial=0.0))
 

@@ -31,10 +31,10 @@ class SqpSolution:
     residuals: Mapping[str, float]
     violated: tuple[str, ...]
     objective: Float[np.ndarray, " N"]
-    off: Mapping[str, Float[np.ndarray, "k m"]]
+    off: Mapping[str, np.ndarray]
     kkt: Float[np.ndarray, " N"]
     solved: Bool[np.ndarray, " N"]
-    multipliers: Mapping[str, Float[np.ndarray, "k m"]]
+    multipliers: Mapping[str, np.ndarray]
     history: Sequence[Mapping[str, float]]
 
 
@@ -49,7 +49,7 @@ def solution_of(run: Run, chosen: np.ndarray) -> SqpSolution:
     """Return the solution that a run has come to, of the problems chosen."""
     program = run.program
     N, n = run.x.shape[1:]
-    q, c, lam = (part[chosen].reshape(-1, part.shape[-1]) for part in (run.x, run.c, run.lam))
+    q, c, lam = (part[chosen].reshape(len(chosen) * N, -1 if part.size else 0) for part in (run.x, run.c, run.lam))
     rows, links = program.violations(run.x[chosen], run.c[chosen], chosen)
     rows = rows.reshape(c.shape)
     owner, names = program.layout.owner, program.layout.names
@@ -75,7 +75,9 @@ def _status(
 ) -> str:  # fmt: skip
     if solved.all():
         return f"Solved, with a KKT residual of {run.kkt.max():.1g}." if len(run.kkt) == 1 else "Solved everywhere."
-    ended = "The time ran out" if run.late else "The iterations ran out" if not run.done.all() else "Nothing better near"
+    ended = (
+        "The time ran out" if run.late else "The iterations ran out" if not run.done.all() else "Nothing better near"
+    )
     if not violated:
         return f"{ended}: all constraints are met, but the cost may not be least at {int((~solved).sum())} waypoints."
     parts = []
@@ -94,5 +96,3 @@ def _against(name: str, k: int, multipliers: Mapping[str, np.ndarray]) -> str:
     most = max(sizes.values(), default=0.0)
     others = [other for other, size in sizes.items() if other != name and size > _MATTERS * most]
     return f", against {' and '.join(others)}" if others else ""
-
-
