@@ -21,7 +21,7 @@ def make_and_estimate(out: Path, seed: int, duration: float, progress: Progress 
     The simulation and its estimate share one world frame, so nothing is aligned before they are compared.
     """
     tell = progress or (lambda stage, fraction: None)
-    warm_up(tell)
+    warm_up(tell, "estimation")
     thing = load_description("thing")
     tell("simulation", 0.0)
     made = make_recording(thing, seed=seed, duration=duration)

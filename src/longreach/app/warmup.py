@@ -1,6 +1,7 @@
-"""Compile every kernel before it is needed, and say so."""
+"""Compile kernels before they are needed, and say so: once on a machine, and again only what a new version changed."""
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,25 +21,27 @@ from longreach.sim.kinematic import make_recording
 Progress = Callable[[str, float], None]
 
 
-def warm_up(progress: Progress | None = None) -> Path:
-    """Run each kernel once on something small, unless these very sources were warmed up before; return the cache."""
+def warm_up(progress: Progress | None = None, *rooms: str) -> Path:
+    """Run each kernel of the rooms named (all: of every one) on something small, unless that was done before.
+
+    Returns the folder of compiled kernels.
+    """
     tell = progress or (lambda stage, fraction: None)
-    mark = cache_root() / f"warm-{_hash_of_all()}"
-    if mark.is_file():
-        return cache_root()
-    steps = (_estimation, _kinematics, _planning)
-    for i, step in enumerate(steps):
-        tell("compiling (first run only)", i / len(steps))
-        step()
-    tell("compiling (first run only)", 1.0)
-    mark.touch()
+    for room in rooms or tuple(ROOMS):
+        mark = cache_root() / f"warm-{room}-{_version()}"
+        if not mark.is_file():
+            stage = f"compiling {room} (first run only)"
+            tell(stage, 0.0)
+            ROOMS[room]()
+            tell(stage, 1.0)
+            mark.touch()
     return cache_root()
 
 
-def _hash_of_all() -> str:
+def _version() -> str:
     """Return a hash over all kernel files, in a form that names a file."""
     files = sorted(Path(longreach.__file__).parent.rglob("*kernels.py"))
-    return "".join(source_hash(file)[:4] for file in files)[:120]
+    return hashlib.sha256("".join(source_hash(file) for file in files).encode()).hexdigest()[:16]
 
 
 def _estimation() -> None:
@@ -60,6 +63,14 @@ def _kinematics() -> None:
     all_solutions(thing, thing.forward(q))
 
 
-def _planning() -> None:
+def _task_priority() -> None:
     thing = load_robot("thing")
     plan(thing, dual_trajectory(thing.forward(thing.home), waypoints=3), thing.home)
+    manipulability(thing, np.stack([thing.home, thing.home]))
+
+
+ROOMS: Mapping[str, Callable[[], None]] = {
+    "estimation": _estimation,
+    "kinematics": _kinematics,
+    "task priority": _task_priority,
+}

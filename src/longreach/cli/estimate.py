@@ -39,7 +39,7 @@ def command(
             fix_period=fix_period,
             progress=progress,
         )
-        warm_up(progress)  # after what can be wrong with the files
+        warm_up(progress, "estimation")  # after what can be wrong with the files
         result = estimate(
             run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress
         )

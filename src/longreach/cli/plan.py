@@ -41,7 +41,7 @@ def command(
     model = load_robot(robot)
     model = model if tool is None else model.with_tool(tool)
     with shown_progress() as progress:
-        warm_up(progress)
+        warm_up(progress, "task priority")
         planned = make_plan(model, reference, config, progress)
         write_plan(planned, out, progress)
     table = metric_table(planned.metrics)
