@@ -1,5 +1,7 @@
 """Controllers by name, their settings as YAML, and the double of a robot driven through the whole chain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control.recorded import NAMES, PERIOD, RecordedHardware, readings
@@ -63,6 +65,12 @@ def test_limits_that_are_none_are_refused(promises, values, message):
     arm = limits_of(promises).arm.model_dump()
     with pytest.raises(ValidationError, match=message):
         SafetyConfig.model_validate({"arm": {**arm, **values}})
+
+
+def test_a_robot_that_does_not_say_how_hard_it_accelerates_is_refused(promises):
+    limits = replace(promises.arm_limits, acceleration=np.array([1.0, np.inf]))
+    with pytest.raises(ControlError, match=r"elbow may move at 3 rad/s and inf rad/s²; give the robot's description"):
+        limits_of(replace(promises, arm_limits=limits))
 
 
 def test_limits_of_ones_own_are_kept(promises):

@@ -147,9 +147,6 @@ def test_a_grave_stop_holds_until_it_is_reset_and_every_other_ends_with_its_caus
         np.testing.assert_array_equal(out.arm, 0.0)
         np.testing.assert_array_equal(out.base, 0.0)
         moving.state = safety.reset(moving.state)
-        np.testing.assert_array_equal(
-            safety.step(moving.state, None, readings(moving.now), Health((), moving.now), moving.now)[1].arm, 0.0
-        )  # the motion before does not go on
         out = moving.ticks(100)
     np.testing.assert_allclose(out.arm, CRUISE)
     np.testing.assert_allclose(out.base, TWIST)
@@ -163,6 +160,17 @@ def test_a_reset_while_the_button_is_still_pressed_stops_again(moving):
     out = moving.ticks(5, emergency_stop=True)
     np.testing.assert_array_equal(out.arm, 0.0)
     assert moving.state.stop.cause == "emergency stop"
+
+
+@pytest.mark.parametrize("kind", sorted(REASONS.keys() - {"silence", "old command", "divergence", "NaN in the NIS"}))
+def test_after_a_stop_only_a_new_command_moves_the_robot_again(moving, kind):
+    while moving.state.stop is None:
+        moving.tick(**faulty(moving, kind))
+    moving.ticks(3, **faulty(moving, kind))
+    moving.state = safety.reset(moving.state)
+    sizes = [np.abs(moving.tick(command=None).base).max() for _ in range(20)]
+    assert np.all(np.diff(sizes) < 0.0) or sizes[-1] == 0.0
+    assert moving.state.stop is None
 
 
 def test_a_streak_is_of_one_source_and_in_a_row(moving):
@@ -212,6 +220,16 @@ def test_an_arm_driven_against_its_limit_comes_to_rest_there(config):
     assert run.q[0] == pytest.approx(0.99, abs=1e-3)
     run.tick(command=Command(run.now, np.array([-1.0, 0.0])))
     assert run.speed[0] < 0.0  # away from it is free
+
+
+@pytest.mark.parametrize("late", [1, 3])
+def test_an_arm_whose_states_come_late_does_not_cross_its_limit(config, late):
+    run, past = Run(config), []
+    for _ in range(400):
+        past.append(JointState(run.now, NAMES, run.q, NOTHING, NOTHING))
+        run.tick(command=Command(run.now, np.array([2.0, 0.0])), joints=(past[-min(late, len(past))],))
+        assert run.q[0] <= 1.0
+    assert run.q[0] == pytest.approx(0.99, abs=2e-3)
 
 
 def test_beyond_its_limit_an_arm_can_only_come_back(config):

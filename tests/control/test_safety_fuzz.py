@@ -19,7 +19,9 @@ RUNS = 30  # of the whole gate, each way of driving it
 def wishes(rng, v_max, count):
     """Velocities that stay for a while: nothing, reasonable ones, and far too much."""
     sizes = np.repeat(rng.choice([0.0, 0.3, 1.0, 5.0, 1e6], (count // 10 + 1, len(v_max))), 10, axis=0)[:count]
-    return sizes * v_max * np.repeat(rng.uniform(-1, 1, (count // 5 + 1, len(v_max))), 5, axis=0)[:count]
+    ways = np.repeat(rng.uniform(-1, 1, (count // 5 + 1, len(v_max))), 5, axis=0)[:count]
+    against = rng.choice([-1.0, 1.0], len(v_max))  # half of them always towards the same limit
+    return sizes * v_max * np.where(rng.random(len(v_max)) < 0.5, ways, against * np.abs(ways))
 
 
 @kernel
@@ -88,7 +90,7 @@ def driven(rng, config, mode, ticks):
         if state.wish.arm_mode == "velocity":
             q = q + v * dt
         came, health = surroundings(rng, now, q, quiet)
-        wanted = ("velocity", "position")[(k // 20) % 2] if mode == "either" else mode
+        wanted = ("velocity", "position")[(k // 7) % 2] if mode == "either" else mode
         state, out = safety.step(state, drawn(rng, now, wanted, wish[k], q), came, health, now)
         if out.arm_mode == "position":
             v, q = (out.arm - q) / dt, out.arm

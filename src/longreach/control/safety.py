@@ -109,7 +109,7 @@ def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.
         if where is not None and len(record.position) == len(record.names):
             measured, age = record.position[where], now - record.stamp
             if 0.0 <= age <= state.config.longest_tick and np.isfinite(measured).all():
-                return measured + state.velocity * min(age, dt)
+                return measured + state.velocity * age
     return None if q is None else q + state.velocity * dt
 
 
@@ -149,7 +149,7 @@ def _moved(
     if q is not None and len(q):
         v = np.zeros(len(q))
         if wish.arm_mode == "position":
-            hold += dt  # the position sent is reached by then
+            hold += dt  # the move of this step comes before what velocities would need to brake
             if not stopping and dt > 0.0:
                 before = state.wish.arm if state.wish.arm_mode == "position" else q
                 _limit_kernels.follow(wish.arm, before, q, dt, a_max, v)

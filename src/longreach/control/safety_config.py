@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from longreach.control.hardware import Promises
+from longreach.control.hardware import ControlError, Promises
 
 Source = Literal["wheels", "scans", "imu", "joints", "wrenches"]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -115,11 +115,21 @@ class SafetyConfig(_Settings):
 
 
 def limits_of(promises: Promises, config: SafetyConfig | None = None) -> SafetyConfig:
-    """Return the configuration with the limits of a robot's arm and base wherever it has none of its own."""
+    """Return the configuration with the limits of a robot's arm and base wherever it has none of its own.
+
+    Raises:
+        ControlError: the robot does not say how fast or how hard a joint may move.
+    """
     config = config or SafetyConfig()
     changes: dict[str, ArmLimits | BaseLimits] = {}
     limits = promises.arm_limits
     if config.arm is None and promises.arm_names:
+        for name, speed, hardest in zip(promises.arm_names, limits.velocity, limits.acceleration, strict=True):
+            if not (0.0 < speed < math.inf and 0.0 < hardest < math.inf):
+                raise ControlError(
+                    f"{name} may move at {speed:g} rad/s and {hardest:g} rad/s²; "
+                    "give the robot's description a velocity and an acceleration that are finite."
+                )
         changes["arm"] = ArmLimits(
             names=promises.arm_names,
             lower=tuple(limits.lower.tolist()),
