@@ -163,7 +163,7 @@ class Motion:
         c, s = math.cos(base[2]), math.sin(base[2])
         twist = np.array([c * qvel[0] + s * qvel[1], -s * qvel[0] + c * qvel[1], qvel[5]])
         T_world_tool = se3.from_rotation_translation(R, p) @ self.at.T_last_tool
-        return Truth(step * STEP, np.append(base[:2], _wrapped(base[2])), twist, q, T_world_tool)
+        return Truth(step * STEP, np.append(base[:2], _wrapped(base[2:])), twist, q, T_world_tool)
 
 
 def _wrapped(angle: np.ndarray) -> np.ndarray:
