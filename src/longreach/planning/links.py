@@ -39,10 +39,15 @@ class LinkLimit(Link):
 
 @dataclass(frozen=True, eq=False)
 class Smoothness(Link):
-    """weight · Σ |difference|², over steps (order 1) or over changes of step (order 2)."""
+    """weight · Σ |difference|², over steps (order 1) or over changes of step (order 2).
+
+    relative: a plan takes the weight in parts of its start's mean squared step: a trajectory is then as smooth whether
+    its waypoints are few or many.
+    """
 
     weight: float = 1.0
     order: int = 1
+    relative: bool = False
     name: str = field(default="smoothness", kw_only=True)
 
     def __post_init__(self) -> None:

@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.planning import sqp_rounds as rounds
+from longreach.planning import sqp_merit as merit
 from longreach.planning.program import Program
 from longreach.planning.sequence import Sequence
+from longreach.planning.sqp_model import convexify, minimise
+from longreach.planning.sqp_rounds import attempt
 
 _TRIAL = 2  # rounds before rivals are compared
 _CLEARLY = 2e-3  # of the merit: what is behind by that much will not win
@@ -110,19 +112,19 @@ def solve(
     """
     began = time.perf_counter()
     run = start(program, x0, config)
-    rounds.remember(run, np.arange(len(run.x)))
+    merit.remember(run, np.arange(len(run.x)))
     for i in range(config.iterations):
         todo = np.flatnonzero(~run.done)
-        model = rounds.convexify(run, todo)
-        steps = rounds.minimise(run, todo, model)
-        rounds.attempt(run, todo, model, steps)
-        run.history.append(rounds.state(run))
+        model = convexify(run, todo)
+        steps = minimise(run, todo, model)
+        attempt(run, todo, model, steps)
+        run.history.append(merit.state(run))
         if rivals is not None and i + 1 >= _TRIAL:
-            run.done |= rounds.behind(run, rivals, _CLEARLY if i < 2 * _TRIAL else 0.0)
+            run.done |= merit.behind(run, rivals, _CLEARLY if i < 2 * _TRIAL else 0.0)
         if run.done.all():
             break
         if time.perf_counter() - began > config.budget:
             run.late = True
             break
-    rounds.recall(run)
+    merit.recall(run)
     return run

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from longreach.configuration import ConfigurationTrajectory, TaskReport
 from longreach.errors import PlanningError
 from longreach.planning import sqp
-from longreach.planning import sqp_rounds as rounds
-from longreach.planning.links import StepLimit
+from longreach.planning.sqp_merit import merits, objectives
+from longreach.planning.links import Link, Smoothness, StepLimit
 from longreach.planning.problem import Problem, evaluate
 from longreach.planning.program import Program
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
@@ -115,8 +115,8 @@ def _best_alone(
     index = np.tile(np.arange(N), s)
     program = Program.of(problem, robot, reference, index[:, None])
     run = sqp.solve(program, starts.reshape(s * N, 1, n), config, index if s > 1 else None)
-    rank = np.where(run.solved, rounds.objectives(run), np.inf).reshape(s, N)
-    rank = np.where(np.isfinite(rank).any(axis=0), rank, rounds.merits(run).reshape(s, N))
+    rank = np.where(run.solved, objectives(run), np.inf).reshape(s, N)
+    rank = np.where(np.isfinite(rank).any(axis=0), rank, merits(run).reshape(s, N))
     return solution_of(run, rank.argmin(axis=0) * N + np.arange(N))
 
 
@@ -128,14 +128,15 @@ def _coupled_start(
     With it comes the problem with a limit of steps that it can keep.
     """
     starts = _starts(robot, reference, q0, problem)
-    problem = _with_room(problem, starts[0])
+    problem = _fitted(problem, starts[0])
     if len(starts) == 1:
         return problem, starts[0]
     s, N, n = starts.shape
     at = Waypoints(robot, reference, np.tile(np.arange(N), s), starts.reshape(s * N, n))
     cost = evaluate(replace(problem, constraints=(), links=(), limits=True), at).f.reshape(s, N)
     band = _band(problem, reference)
-    rate = _RAMP * min([*(link.step for link in problem.links if isinstance(link, StepLimit)), band])
+    limits = [link.step for link in problem.links if isinstance(link, StepLimit)]
+    rate = min(_RAMP * min([*limits, band]), np.abs(np.diff(starts[0], axis=0)).max(initial=band))
     return problem, _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
 
 
@@ -163,14 +164,19 @@ def _turns(cost: Float[np.ndarray, "2 N"], band: float, rate: float) -> Float[np
     return np.convolve(padded, window, mode="same")[width:-width]
 
 
-def _with_room(problem: Problem, start: np.ndarray) -> Problem:
-    """Return the problem with a limit of steps that the start can come to keep."""
-    largest = float(np.abs(np.diff(start, axis=0)).max(initial=0.0))
-    links = tuple(
-        replace(link, step=max(link.step, link.room * largest)) if isinstance(link, StepLimit) else link
-        for link in problem.links
-    )
-    return replace(problem, links=links)
+def _fitted(problem: Problem, start: np.ndarray) -> Problem:
+    """Return the problem with a limit of steps that the start can come to keep, and smoothness in its measure."""
+    steps = np.diff(start, axis=0)
+    largest, square = float(np.abs(steps).max(initial=0.0)), float(np.sum(steps**2, axis=1).mean()) if len(steps) else 0
+
+    def fit(link: Link) -> Link:
+        if isinstance(link, StepLimit):
+            return replace(link, step=max(link.step, link.room * largest))
+        if isinstance(link, Smoothness) and link.relative and square > 0:
+            return replace(link, weight=link.weight / square, relative=False)
+        return link
+
+    return replace(problem, links=tuple(fit(link) for link in problem.links))
 
 
 def _report(name: str, off: Float[np.ndarray, "k m"], solution: SqpSolution, problem: Problem) -> TaskReport:
