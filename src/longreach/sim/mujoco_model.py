@@ -34,7 +34,6 @@ _CAMERAS = {"kinect2": "0 -1 0 0 0 1", "realsense": "1 0 0 0 -1 0"}
 _WHEEL_GAIN = 50.0  # torque for an error in speed [N m s]; ours: 230 kg follow within 7 ms
 _ROLLER_MASS_PART = 0.2  # of a wheel's mass that is its rollers'; ours
 _ARMATURE = 1.0 / 300.0  # a motor's inertia behind its gear for each N m that the joint can give [kg m²]; ours
-_WALL = 0.02  # half of a wall's thickness [m]
 _ROBOT, _ROLLER = "2", "1"  # bits of contact: rollers meet the floor, the rest of the robot the world's things
 
 
@@ -120,12 +119,12 @@ def _world(root: Element, world: World) -> Element:
     SubElement(place, "light", pos="0 0 4", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
     meets = {"contype": "0", "group": "0"}
     SubElement(place, "geom", meets, type="plane", size="0 0 1", material="tiles", conaffinity=_ROLLER, name="floor")
-    for i, ((x0, y0, x1, y1), low, high) in enumerate(zip(world.segments, world.bottom, world.top, strict=True)):
-        half = 0.5 * np.array([np.hypot(x1 - x0, y1 - y0), 2 * _WALL, high - low])
-        middle, turn = [0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (low + high)], [0, 0, np.arctan2(y1 - y0, x1 - x0)]
+    for i, (x, y, yaw, length, width, low, high) in enumerate(world.solids.tolist()):
         # Each in a body of its own: then the broad phase leaves out what is far away, a sixth of a step's time.
-        body = SubElement(place, "body", name=f"thing_{i}", pos=numbers(middle), euler=numbers(turn))
-        shape = {"type": "box", "size": numbers(half), "rgba": "0.85 0.83 0.78 1"}
+        stands = {"pos": numbers([x, y, 0.5 * (low + high)]), "euler": numbers([0.0, 0.0, yaw])}
+        kind, tall = ("box", [length, width]) if width > 0 else ("cylinder", [length]), 0.5 * (high - low)
+        shape = {"type": kind[0], "size": numbers([*kind[1], tall]), "rgba": "0.85 0.83 0.78 1"}
+        body = SubElement(place, "body", stands, name=f"thing_{i}")
         SubElement(body, "geom", meets | shape, conaffinity=_ROBOT)
     return place
 
