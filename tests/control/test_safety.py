@@ -232,6 +232,26 @@ def test_an_arm_whose_states_come_late_does_not_cross_its_limit(config, late):
     assert run.q[0] == pytest.approx(0.99, abs=2e-3)
 
 
+def test_a_state_that_comes_late_is_carried_on_to_now(moving):
+    past = [JointState(moving.now, NAMES, moving.q, NOTHING, NOTHING)]
+    for _ in range(10):
+        moving.tick(joints=tuple(past[-3:][:1]))
+        np.testing.assert_allclose(moving.state.q, moving.q, atol=1e-12)
+        past.append(JointState(moving.now, NAMES, moving.q, NOTHING, NOTHING))
+
+
+@pytest.mark.parametrize("ticks", range(8, 24))
+def test_from_positions_to_velocities_in_the_least_favourable_rhythm_no_limit_is_crossed(config, ticks):
+    run, dt = Run(config.model_copy(update={"position_margin": 0.0, "position_lag": 9.0})), 0.0399
+    for _ in range(ticks):
+        run.tick(command=Command(run.now, np.array([3.0, 0.0]), "position"), dt=dt)
+    run.tick(command=Command(run.now, np.array([9.0, 0.0])), dt=1e-4)
+    for _ in range(30):
+        run.tick(command=Command(run.now, np.array([9.0, 0.0])), dt=dt)
+        assert run.q[0] <= 1.0 + 1e-9
+    run.assert_accelerations_are_kept()
+
+
 def test_beyond_its_limit_an_arm_can_only_come_back(config):
     run = Run(config, q=(1.2, 0.0))
     out = run.ticks(5, command=Command(0.0, np.array([1.0, 0.0])))
