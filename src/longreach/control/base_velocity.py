@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -24,6 +25,11 @@ class BaseVelocityConfig(BaseModel):
     velocity: _Axes = Field(default=(1.1, 1.1, 2.0), description="Top speed [m/s, m/s, rad/s].")
     acceleration: _Axes = Field(default=(2.5, 2.5, 1.0), description="Steepest ramp [m/s², m/s², rad/s²].")
     command_timeout: _Positive = Field(default=0.25, description="A twist older than this is none [s].")
+
+    @cached_property
+    def limits(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Top speeds and steepest ramps, (3,) each."""
+        return np.array(self.velocity), np.array(self.acceleration)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +65,5 @@ def step(
     if now - since > config.command_timeout:
         target = np.zeros(3)
     twist = np.empty(3)
-    v_max, a_max = np.array(config.velocity), np.array(config.acceleration)
-    limited = _limit_kernels.limit(target, state.twist, dt, 0.0, v_max, a_max, _ROOM, _ROOM, twist)
+    limited = _limit_kernels.limit(target, state.twist, dt, 0.0, *config.limits, _ROOM, _ROOM, twist)
     return BaseVelocityState(config, now, twist, target, since, limited), twist

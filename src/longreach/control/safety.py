@@ -9,18 +9,18 @@ Velocity commands start from where joint states say that the arm is; position co
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.control import _limit_kernels
 from longreach.control.hardware import ArmMode, Command, Readings
-from longreach.control.safety_checks import Health, Stop, Watch, fault, grave, passing, places, watch, within
+from longreach.control.safety_checks import Health, Stop, Watch, fault, finite, grave, passing, places, watch, within
 from longreach.control.safety_config import SafetyConfig
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wish:
+class Wish(NamedTuple):
     """What was commanded last, and when; in position mode `arm` is a position, otherwise a velocity."""
 
     arm: np.ndarray
@@ -60,7 +60,7 @@ def init(config: SafetyConfig, now: float, q: Float[np.ndarray, " n"] | None = N
 
 def reset(state: SafetyState) -> SafetyState:
     """Let the robot move again after a stop that holds; where its cause is still there, the next step stops again."""
-    return replace(state, stop=None, watch=replace(state.watch, streaks={}))
+    return replace(state, stop=None, watch=state.watch._replace(streaks={}))
 
 
 def step(
@@ -84,7 +84,7 @@ def step(
         q = arm = None if q is None else q + velocity * elapsed
     if stop is not None and stop.cause != "silence":
         at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
-        wish = replace(wish, arm=at_rest, base=np.zeros(3))
+        wish = wish._replace(arm=at_rest, base=np.zeros(3))
     gripper = within(config, command.gripper) if command is not None and stop is None else None
     stamp = now if math.isfinite(now) else state.stamp
     out = Command(
@@ -108,7 +108,7 @@ def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.
         where = places(record.names, arm.names)
         if where is not None and len(record.position) == len(record.names):
             measured, age = record.position[where], now - record.stamp
-            if 0.0 <= age <= state.config.longest_tick and np.isfinite(measured).all():
+            if 0.0 <= age <= state.config.longest_tick and finite(measured):
                 return measured + state.velocity * age
     return None if q is None else q + state.velocity * dt
 
@@ -123,14 +123,14 @@ def _taken(
             return wish, Stop("bad command", reason, now)
         stamp = min(command.stamp, now)
         if command.base is not None:
-            wish = replace(wish, base=np.array(command.base), base_stamp=stamp)
+            wish = wish._replace(base=np.array(command.base), base_stamp=stamp)
         if command.arm is not None and q is not None:
             if command.arm_mode == "position":
                 away = float(np.abs(command.arm - q).max())
                 if away > config.position_lag:
                     reason = f"The commanded position is {away:.2f} rad away; {config.position_lag:g} rad are allowed."
                     return wish, Stop("bad command", reason, now)
-            wish = replace(wish, arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
+            wish = wish._replace(arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
     moves = wish.base.any(), wish.arm_mode == "velocity" and wish.arm.any()
     for moving, since in zip(moves, (wish.base_stamp, wish.arm_stamp), strict=True):
         if moving and not now - since <= config.command_timeout:
