@@ -90,6 +90,7 @@ def faulty(run, kind):
         "gripper is NaN": {"command": Command(run.now, CRUISE, gripper=GripperCommand("force", np.nan))},
         "too many joints": {"command": Command(run.now, np.zeros(3))},
         "far position": {"command": Command(run.now, np.array([0.95, 0.0]), "position", TWIST)},
+        "stamp is NaN": {"command": Command(np.nan, CRUISE, "velocity", TWIST)},
         "silence": {"command": None},
         "old command": {"command": Command(run.now - 1.0, CRUISE, "velocity", TWIST)},
         "late tick": {"dt": 0.06},
@@ -114,8 +115,9 @@ REASONS = {
     "gripper is NaN": "a number that is not finite",
     "too many joints": "arm has 3 numbers, but the arm has 2 joints",
     "far position": "position is 0.5. rad away; 0.3 rad are allowed",
+    "stamp is NaN": "a number that is not finite",
     "silence": "There was no command for 0.26 s",
-    "old command": "There was no command for 1.0",
+    "old command": "There was no command for 0.26 s",
     "late tick": "0.060 s went by since the last tick; 0.04 s are allowed",
 }
 LATCHED = {"emergency stop", "contact", "torque", "divergence", "NaN in the NIS"}
@@ -188,6 +190,37 @@ def test_a_command_that_stays_away_for_a_few_ticks_goes_on(moving):
     out = moving.tick(command=Command(moving.now, base=np.zeros(3)))  # of the arm it says nothing
     np.testing.assert_array_equal(out.arm, CRUISE)
     assert moving.state.stop is None
+
+
+def test_where_only_the_arm_falls_silent_the_base_goes_on(moving):
+    for _ in range(60):
+        out = moving.tick(command=Command(moving.now, base=TWIST))
+    np.testing.assert_array_equal(out.arm, 0.0)
+    np.testing.assert_allclose(out.base, TWIST)
+    for _ in range(60):
+        out = moving.tick(command=Command(moving.now, CRUISE))
+    np.testing.assert_array_equal(out.base, 0.0)
+    np.testing.assert_allclose(out.arm, CRUISE)
+    assert moving.state.stop is None
+    moving.assert_accelerations_are_kept()
+
+
+def test_a_command_that_was_overtaken_by_a_newer_one_is_not_taken(moving):
+    out = moving.tick(command=Command(moving.now - 0.1, -CRUISE, "velocity", -TWIST))
+    np.testing.assert_array_equal(out.arm, CRUISE)
+    np.testing.assert_allclose(out.base, TWIST)
+
+
+def test_noise_of_the_joint_states_moves_no_arm_across_its_limit(config, rng):
+    run = Run(config)
+    for _ in range(400):
+        noisy = JointState(
+            run.now + PERIOD, NAMES, run.q + run.speed * PERIOD + 0.002 * rng.normal(size=2), *2 * [NOTHING]
+        )
+        run.tick(command=Command(run.now, np.array([2.0, 3.0])), joints=(noisy,))
+        assert np.all(run.q <= [1.0, 2.0])
+    assert np.all(run.q >= [0.97, 1.97])
+    run.assert_accelerations_are_kept()
 
 
 def test_an_arm_of_which_nothing_is_known_does_not_move(config):

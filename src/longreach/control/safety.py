@@ -82,7 +82,7 @@ def step(
     arm: np.ndarray | None = velocity
     if wish.arm_mode == "position":
         q = arm = None if q is None else q + velocity * elapsed
-    if stop is not None and stop.cause != "silence":
+    if stop is not None:
         at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
         wish = wish._replace(arm=at_rest, base=np.zeros(3))
     gripper = within(config, command.gripper) if command is not None and stop is None else None
@@ -116,25 +116,26 @@ def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.
 def _taken(
     config: SafetyConfig, wish: Wish, command: Command | None, q: np.ndarray | None, now: float
 ) -> tuple[Wish, Stop | None]:
-    """The wish with the new command in it, or the stop for which it cannot be."""
+    """The wish with the new command in it, less what is too old, or the stop for which it cannot be."""
+    reason = "" if command is None else fault(config, command, q)
+    if reason:
+        return wish, Stop("bad command", reason, now)
     if command is not None:
-        reason = fault(config, command)
-        if reason:
-            return wish, Stop("bad command", reason, now)
         stamp = min(command.stamp, now)
-        if command.base is not None:
+        if command.base is not None and not stamp < wish.base_stamp <= now:  # it was not overtaken by a newer one
             wish = wish._replace(base=np.array(command.base), base_stamp=stamp)
-        if command.arm is not None and q is not None:
-            if command.arm_mode == "position":
-                away = float(np.abs(command.arm - q).max())
-                if away > config.position_lag:
-                    reason = f"The commanded position is {away:.2f} rad away; {config.position_lag:g} rad are allowed."
-                    return wish, Stop("bad command", reason, now)
+        if command.arm is not None and q is not None and not stamp < wish.arm_stamp <= now:
             wish = wish._replace(arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
-    moves = wish.base.any(), wish.arm_mode == "velocity" and wish.arm.any()
-    for moving, since in zip(moves, (wish.base_stamp, wish.arm_stamp), strict=True):
-        if moving and not now - since <= config.command_timeout:
-            return wish, Stop("silence", f"There was no command for {now - since:.2f} s.", now)
+    arm_is_old, base_is_old = (
+        not 0.0 <= now - stamp <= config.command_timeout for stamp in (wish.arm_stamp, wish.base_stamp)
+    )
+    if arm_is_old and base_is_old:
+        age = now - max(wish.arm_stamp, wish.base_stamp)
+        return wish, Stop("silence", f"There was no command for {age:.2f} s.", now)
+    if arm_is_old and wish.arm_mode == "velocity":
+        wish = wish._replace(arm=np.zeros(len(wish.arm)))
+    if base_is_old:
+        wish = wish._replace(base=np.zeros(3))
     return wish, None
 
 

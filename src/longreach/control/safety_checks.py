@@ -116,8 +116,8 @@ def passing(config: SafetyConfig, state: Watch, health: Health, dt: float, now: 
     return None
 
 
-def fault(config: SafetyConfig, command: Command) -> str:
-    """Return why a command cannot be used, or an empty string."""
+def fault(config: SafetyConfig, command: Command, q: np.ndarray | None) -> str:
+    """Return why a command cannot be used where the arm is at q (n,), or an empty string."""
     arm, base, gripper = command.arm, command.base, command.gripper
     joints = 0 if config.arm is None else len(config.arm.names)
     if arm is not None and len(arm) != joints:
@@ -125,8 +125,12 @@ def fault(config: SafetyConfig, command: Command) -> str:
     if base is not None and config.base is None:
         return "The command moves a base, but there is none."
     usable = (arm is None or finite(arm)) and (base is None or finite(base))
-    if not (usable and (gripper is None or math.isfinite(gripper.value))):
+    if not (usable and math.isfinite(command.stamp) and (gripper is None or math.isfinite(gripper.value))):
         return "The command has a number that is not finite."
+    if arm is not None and q is not None and command.arm_mode == "position" and joints:
+        away = float(np.abs(arm - q).max())
+        if away > config.position_lag:
+            return f"The commanded position is {away:.2f} rad away; {config.position_lag:g} rad are allowed."
     return ""
 
 

@@ -61,7 +61,7 @@ class SafetyConfig(_Settings):
         default=0.04, description="For how long a command may last before the next [s]; five ticks at 125 Hz, ours."
     )
     command_timeout: _Positive = Field(
-        default=0.25, description="Velocities older than this are a stop [s]; the Ridgeback's driver."
+        default=0.25, description="What was commanded longer ago is over [s]; the Ridgeback's driver."
     )
     stale_after: dict[Source, _Positive] = Field(
         default={"joints": 0.1, "wheels": 0.2, "scans": 0.25},

@@ -12,7 +12,7 @@ _FLOOR = 1e-8  # curvature where the problem has none
 
 def elastic(
     q: Subproblem, A: Float[np.ndarray, "N e n"], c: Float[np.ndarray, "N e"],
-    penalties: tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]],
+    penalties: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> Step | None:  # fmt: skip
     """Return the step that minimises the ℓ1 merit's model within the box; the equations A d = -c give way, too.
 
@@ -37,7 +37,7 @@ def elastic(
     P = _blocks(q.Z @ q.H @ q.Z.transpose(0, 2, 1)) + _FLOOR * sp.eye(N * n)
     for cost in q.costs:
         D = sp.kron(_matrix(cost.coefficients, N), sp.eye(n))
-        P = P + cost.curvature * (D.T @ D)
+        P = P + D.T @ sp.diags(np.broadcast_to(cost.curvature, (len(cost.coefficients), n)).ravel()) @ D
     P = sp.block_diag([P, _FLOOR * sp.eye(2 * m)])
     lower = np.concatenate([np.maximum(q.lower[:, r:], -q.reach).ravel(), np.zeros(2 * m)])
     upper = np.concatenate([np.minimum(q.upper[:, r:], q.reach).ravel(), np.full(2 * m, np.inf)])

@@ -78,7 +78,7 @@ class Program:
 
     def objective(self, x: Trajectories, f: Float[np.ndarray, "B N"]) -> Float[np.ndarray, " B"]:
         """Return each problem's cost (B,)."""
-        smooth = sum(0.5 * cost.curvature * np.sum(cost.of(x[0]) ** 2) for cost in self.costs)
+        smooth = sum(cost.energy(x[0]) for cost in self.costs)
         return f.sum(axis=1) + smooth
 
     def violations(

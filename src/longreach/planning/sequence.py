@@ -8,7 +8,7 @@ import piqp
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from longreach.planning.subproblem import EXACT, Difference, Step, Subproblem
+from longreach.planning.subproblem import Difference, Step, Subproblem
 
 _CROSSED = 1e-9  # by which a row must be violated to take part
 _BINDS = 1e-9  # a multiplier that is more than rounding
@@ -32,7 +32,7 @@ class Sequence:
         if len(self.part) != len(low):
             self.part, self.pull = np.zeros(len(low), dtype=bool), np.zeros(len(low))
         for _ in range(_ROUNDS):
-            found = _piqp(P, c, (G[self.part], low[self.part], high[self.part]), q.reach)
+            found = _piqp(P, c, (G[self.part], low[self.part], high[self.part]), q.reach, q.exact)
             if found is None:
                 return None
             v = G @ found[0]
@@ -87,8 +87,10 @@ def link_bands(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...]) -> 
         k, width = cost.coefficients.shape
         for i in range(width):
             for j in range(i, width):
-                weight = cost.curvature * cost.coefficients[:, i] * cost.coefficients[:, j]
-                bands[j - i][i : i + k] += weight[:, None, None] * (Z[i : i + k].transpose(0, 2, 1) @ Z[j : j + k])
+                weight = np.broadcast_to(cost.curvature, (k, Z.shape[1])) * (
+                    cost.coefficients[:, i] * cost.coefficients[:, j]
+                )[:, None]
+                bands[j - i][i : i + k] += (Z[i : i + k] * weight[:, :, None]).transpose(0, 2, 1) @ Z[j : j + k]
     return bands
 
 
@@ -113,7 +115,7 @@ def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
     bands[0] += q.H
     g = q.g
     for cost in q.costs:
-        g = g + cost.curvature * cost.transposed(cost.of(q.d0), N)
+        g = g + cost.pull(q.d0)
     a, b = np.meshgrid(np.arange(p), np.arange(p), indexing="ij")
     rows, columns, data = [], [], []
     for o, band in enumerate(bands):
@@ -127,10 +129,11 @@ def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
     return P, np.einsum("kjp,kj->kp", q.Z, g).ravel()
 
 
-def _piqp(P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float) -> tuple[np.ndarray, np.ndarray] | None:
+def _piqp(P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float, exact: float) -> tuple[np.ndarray, np.ndarray] | None:
     solver = piqp.SparseSolver()
-    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = EXACT
-    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 1e-11
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = exact
+    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.1 * exact
+    solver.settings.preconditioner_iter = 2  # a waypoint's numbers are of like size
     box = np.full(len(c), reach)
     G, low, high = rows
     some = G.shape[0] > 0

@@ -18,6 +18,7 @@ from longreach.planning.program import Program
 from longreach.planning.sequence import Sequence
 from longreach.planning.sqp_model import convexify, minimise
 from longreach.planning.sqp_rounds import attempt
+from longreach.planning.subproblem import Difference
 
 _TRIAL = 2  # rounds before rivals are compared
 _CLEARLY = 2e-3  # of the merit: what is behind by that much will not win
@@ -76,6 +77,7 @@ class Run:
     best_x: Float[np.ndarray, "B N n"]
     sequence: Sequence = field(default_factory=Sequence)
     history: list[dict[str, float]] = field(default_factory=list)
+    held: tuple[Difference, ...] = ()
     late: bool = False
 
 

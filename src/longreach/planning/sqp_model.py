@@ -11,7 +11,7 @@ from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.elastic import elastic
 from longreach.planning.problem import bending
 from longreach.planning.sequence import banded, link_bands
-from longreach.planning.subproblem import Difference, Step, Subproblem, one_waypoint
+from longreach.planning.subproblem import EXACT, Difference, Step, Subproblem, one_waypoint
 
 if TYPE_CHECKING:
     from longreach.planning.sqp import Run
@@ -72,7 +72,7 @@ def gradient(run: Run, todo: np.ndarray) -> np.ndarray:
     """Return the gradient (b, N, n) of the costs, those of links too."""
     g = run.g[todo]
     for cost in run.program.costs:
-        g = g + cost.curvature * cost.transposed(cost.of(run.x[0]), g.shape[1])
+        g = g + cost.pull(run.x[0])
     return g
 
 
@@ -88,7 +88,8 @@ def convexify(run: Run, todo: np.ndarray) -> Model:
     if renew.any():
         H = _curvature(run, todo[renew], Z[renew])
         convex = _convex(H, run.config.curvature_floor)
-        run.H[todo[renew]] = _together(H, convex, Z, program.costs) if N > 1 else convex
+        run.held = _held_links(run)
+        run.H[todo[renew]] = _together(H, convex, Z, (*program.costs, *run.held)) if N > 1 else convex
         run.fresh[todo] = False
     low, high = program.lower - run.x[todo], program.upper - run.x[todo]
     G = np.concatenate([A[:, :, ~equation], np.broadcast_to(np.eye(n), (b, N, n, n))], axis=2)
@@ -128,6 +129,13 @@ def _held(run: Run, todo: np.ndarray, Z: np.ndarray, scale: np.ndarray) -> np.nd
     holds = (np.abs(run.lam[todo][:, :, ~equation]) > HOLDS) & (square > 1e-12)
     weight = np.where(holds, _HELD * scale[:, :, None] / np.maximum(square, 1e-12), 0.0)
     return np.swapaxes(a, 2, 3) @ (weight[..., None] * a)
+
+
+def _held_links(run: Run) -> tuple[Difference, ...]:
+    """Return the same across limits of links that hold, as costs of the step."""
+    none = np.empty((0, run.x.shape[2]))
+    pairs = zip(run.program.limits, run.lam_links, strict=True)
+    return tuple(Difference(limit.coefficients, none, none, _HELD * (np.abs(y) > HOLDS)) for limit, y in pairs)
 
 
 def _convex(H: np.ndarray, floor: float) -> np.ndarray:
@@ -173,14 +181,15 @@ def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
 
 
 def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
+    exact = float(np.clip(1e-4 * run.kkt[b], EXACT, 1e-7))  # far from a solution there is no use in digits
     limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
     parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
-    return Subproblem(*parts, run.trust[b], run.program.costs, limits)
+    return Subproblem(*parts, run.trust[b], exact, (*run.program.costs, *run.held), limits)
 
 
 def _give_way(run: Run, b: int, i: int, model: Model) -> Step | None:
     equation = run.program.layout.equation
     goal, _ = run.program.bounds(np.array([b]), run.c.shape[1])
     c = (run.c[b] - goal[0])[:, equation]
-    penalties = (run.mu[b, equation], run.mu[b, ~equation], tuple(run.mu_links))
+    penalties = (run.mu[b, equation], run.mu[b, ~equation], run.mu_links)
     return elastic(_subproblem(run, b, i, model), run.A[b][:, equation], c, penalties)

@@ -10,10 +10,11 @@ from longreach.errors import PlanningError
 from longreach.planning import sqp
 from longreach.planning.sqp_merit import merits, objectives
 from longreach.planning.links import Link, Smoothness, StepLimit
-from longreach.planning.problem import Problem, evaluate
-from longreach.planning.program import Program
+from longreach.planning.problem import Layout, Problem, evaluate
+from longreach.planning.program import Program, outside
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
-from longreach.planning.terms import Waypoints
+from longreach.planning.terms import NearSeed, Waypoints
+from longreach.planning.terms_clearance import Clearance, least_clearance
 from longreach.planning.terms_pose import BaseHeading, ToolPose
 from longreach.planning.thesis_problem import thesis_problem
 from longreach.reference import Reference
@@ -21,6 +22,9 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LONG = 1e4  # [s] between the waypoints of a start, so that no limit of speed counts
 _MET = 1e-6  # [m, rad] that counts as nothing
+_FAR = 0.01  # [m, rad] by which a start may violate a constraint that all waypoints together then come to keep
+_WIDENINGS = 4  # of the margins, at most
+_WIDER = 1.5  # by which a margin grows, in what was missing between waypoints
 _RAMP = 0.6  # part of the largest step that a change of heading in the start takes
 
 
@@ -66,10 +70,12 @@ def plan_by_sqp(
     config = (config or sqp.SqpConfig()).model_copy(update={"iterations": iterations})
     problem = problem or thesis_problem()
     if initial is not None:
-        solution = optimise(robot, reference, problem, _resampled(initial, reference), coupled, config)
+        start = _resampled(initial, reference)
+        solution = (_clear_between if coupled else _apart)(robot, reference, problem, start, config)
     elif coupled:
         problem, start = _coupled_start(robot, reference, q0, problem)
-        solution = optimise(robot, reference, problem, start, True, config)
+        start = _moved_clear(robot, reference, problem, start, config)
+        solution = _clear_between(robot, reference, problem, start, config)
     else:
         solution = _best_alone(robot, reference, q0, problem, config)
     reports = tuple(_report(name, off, solution, problem) for name, off in solution.off.items())
@@ -138,6 +144,49 @@ def _coupled_start(
     limits = [link.step for link in problem.links if isinstance(link, StepLimit)]
     rate = min(_RAMP * min([*limits, band]), np.abs(np.diff(starts[0], axis=0)).max(initial=band))
     return problem, _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
+
+
+def _moved_clear(
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
+) -> np.ndarray:
+    """Return the start with each waypoint that constraints are far from holding at moved to the nearest where they do."""
+    at = Waypoints(robot, reference, np.arange(len(start)), np.clip(start, robot.lower, robot.upper))
+    e, layout = evaluate(replace(problem, costs=(), links=(), limits=True), at), Layout.of(problem, at)
+    if outside(e.c, layout.lower, layout.upper).max(initial=0.0) <= _FAR:
+        return start
+    near = Problem((NearSeed(start, np.ones(robot.dof)),), problem.constraints, (), problem.limits)
+    return optimise(robot, reference, near, start, False, config).q
+
+
+def _apart(
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
+) -> SqpSolution:
+    return optimise(robot, reference, problem, start, False, config)
+
+
+def _clear_between(
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
+) -> SqpSolution:
+    """Return the solution, its margins widened until the straight lines between waypoints are clear, too."""
+    solution = optimise(robot, reference, problem, start, True, config)
+    wider = problem
+    for _ in range(_WIDENINGS):
+        short = {
+            term.name: term.margin - least_clearance(robot, solution.q, term)[0]
+            for term in problem.constraints
+            if isinstance(term, Clearance)
+        }
+        if solution.violated or all(gap <= 0.0 for gap in short.values()):
+            break
+        terms = [
+            replace(term, margin=term.margin + _WIDER * max(short.get(term.name, 0.0), 0.0))
+            if isinstance(term, Clearance)
+            else term
+            for term in wider.constraints
+        ]
+        wider = replace(wider, constraints=tuple(terms))
+        solution = optimise(robot, reference, wider, solution.q, True, config)
+    return solution
 
 
 def _turns(cost: Float[np.ndarray, "2 N"], band: float, rate: float) -> Float[np.ndarray, " N"]:

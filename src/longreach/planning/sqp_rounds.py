@@ -52,6 +52,7 @@ def _modelled_merit(run: Run, todo: np.ndarray, Z: np.ndarray, x: np.ndarray) ->
     free = np.einsum("bkjp,bkj->bkp", Z, d)
     f = run.f[todo] + np.einsum("bkj,bkj->bk", run.g[todo], d)
     f += 0.5 * np.einsum("bkp,bkpq,bkq->bk", free, run.H[todo], free)
+    f[:, 0] += sum(link.energy(d[0]) for link in run.held)
     return merit(run, todo, x, f, run.c[todo] + np.einsum("bkmj,bkj->bkm", run.A[todo], d))
 
 

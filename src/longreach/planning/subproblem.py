@@ -18,13 +18,13 @@ EXACT = 1e-10
 class Difference:
     """A link at the present trajectory: coefficients (k, width), and bounds (k, n) of the change of its value.
 
-    Of a cost, the bounds are empty and curvature is 2 · weight.
+    Of a cost, the bounds are empty and curvature is 2 · weight, for all values or for each of them (k, n).
     """
 
     coefficients: Float[np.ndarray, "k width"]
     lower: Float[np.ndarray, "k2 n"]
     upper: Float[np.ndarray, "k2 n"]
-    curvature: float = 0.0
+    curvature: float | np.ndarray = 0.0
 
     def of(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "k n"]:
         """Return the difference's value at a trajectory."""
@@ -33,6 +33,14 @@ class Difference:
             (self.coefficients[:, i, None] * x[i : i + k] for i in range(self.coefficients.shape[1])),
             np.zeros((k, x.shape[1])),
         )
+
+    def pull(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
+        """Return the gradient of ½ Σ curvature · difference² at a trajectory."""
+        return self.transposed(self.curvature * self.of(x), len(x))
+
+    def energy(self, x: Float[np.ndarray, "N n"]) -> float:
+        """Return ½ Σ curvature · difference² at a trajectory."""
+        return 0.5 * float(np.sum(self.curvature * self.of(x) ** 2))
 
     def about(self, x: Float[np.ndarray, "N n"]) -> "Difference":
         """Return it with bounds that count from where the trajectory x is."""
@@ -53,7 +61,7 @@ class Subproblem:
     """min gᵀd + ½ zᵀH z + links' costs, d = d₀ + Z z, lower ≤ G d ≤ upper, and the limits of links.
 
     All are over N waypoints: g, d0 (N, n), Z (N, n, p), H (N, p, p), G (N, r, n); the last n rows of G are the joints'
-    limits. The trust region is |z| ≤ reach.
+    limits. The trust region is |z| ≤ reach; exact: how exact the solution must be.
     """
 
     g: Float[np.ndarray, "N n"]
@@ -64,6 +72,7 @@ class Subproblem:
     lower: Float[np.ndarray, "N r"]
     upper: Float[np.ndarray, "N r"]
     reach: float
+    exact: float
     costs: tuple[Difference, ...] = ()
     limits: tuple[Difference, ...] = ()
 

@@ -51,7 +51,7 @@ class Motion:
     """
 
     def __init__(self, robot: MobileManipulator, world: World, q: Float[np.ndarray, " n"], stiffness: float) -> None:
-        self.robot, self.step, self._stiffness = robot, 0, stiffness
+        self.robot, self.step, self._stiffness, self._q = robot, 0, stiffness, np.array(q, dtype=float)
         self.model = compiled(mjcf(robot, world))
         self.data = engine().MjData(self.model)
         self.at = Places(robot, self.model)
@@ -152,13 +152,13 @@ class Motion:
         """Return what was at a step of which there is a glimpse."""
         base, qpos, qvel, sensed = glimpse
         p, x, y = sensed[self.at.last_frame].reshape(3, 3)
-        return self._truth(step, base, qpos, qvel, p, np.column_stack([x, y, so3.hat(x) @ y]))
+        return self._truth(step, base, qpos, qvel, p, np.array([x, y, so3.hat(x) @ y]).T)
 
     def _truth(
         self, step: int, base: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, p: np.ndarray, R: np.ndarray
     ) -> Truth:
         """Return what was at a step, when the last link was at p and R."""
-        q = self.robot.home
+        q = self._q.copy()
         q[self.robot.base], q[self.robot.arm] = base, qpos[self.at.arm]
         c, s = math.cos(base[2]), math.sin(base[2])
         twist = np.array([c * qvel[0] + s * qvel[1], -s * qvel[0] + c * qvel[1], qvel[5]])

@@ -31,7 +31,10 @@ WRENCH_LINK = "ft300"  # what hangs on this link is felt by the force-torque sen
 # Where the picture's right and up point in a camera's link: x forward on the body, z forward on the gripper.
 _CAMERAS = {"kinect2": "0 -1 0 0 0 1", "realsense": "1 0 0 0 -1 0"}
 
-_WHEEL_GAIN = 50.0  # torque for an error in speed [N m s]; ours: 230 kg follow within 7 ms
+_WHEEL_GAIN = 30.0  # torque for an error in speed [N m s]; ours: 230 kg follow within 13 ms
+# A wheel's motor behind its gear of 35 [kg m²]; ours. Needed beside being real: the integrator damps a wheel by its gain
+# times the step, of which the contacts know nothing; where that outweighs the inertia, wheels slip forward under load.
+_WHEEL_ARMATURE = 0.06
 _ROLLER_MASS_PART = 0.2  # of a wheel's mass that is its rollers'; ours
 _ARMATURE = 1.0 / 300.0  # a motor's inertia behind its gear for each N m that the joint can give [kg m²]; ours
 _ROBOT, _ROLLER = "2", "1"  # bits of contact: rollers meet the floor, the rest of the robot the world's things
@@ -81,7 +84,9 @@ def mjcf(robot: MobileManipulator, world: World, settings: dict[str, str] | None
     # A dozen contacts and 67 speeds: the dual solver is a fifth faster than Newton's, and ends up in the same place.
     option |= {"solver": "PGS", "iterations": "30", "impratio": "10", "gravity": f"0 0 {-GRAVITY}"}
     SubElement(root, "option", option | (settings or {}))
-    SubElement(SubElement(root, "visual"), "global", offwidth="1920", offheight="1080")
+    visual = SubElement(root, "visual")
+    SubElement(visual, "global", offwidth="1920", offheight="1080")
+    SubElement(visual, "headlight", ambient="0.4 0.4 0.4")
     _defaults(root)
     place = _world(root, world)
     actuators, sensors = Element("actuator"), Element("sensor")
@@ -161,7 +166,7 @@ class _Tree:
         hub, radius = (1 - _ROLLER_MASS_PART) * mass, 0.7 * self._base.wheel_radius
         inertia = numbers(hub * radius**2 * np.array([0.25, 0.5, 0.25]))
         SubElement(body, "inertial", pos="0 0 0", mass=numbers(hub), diaginertia=inertia)
-        SubElement(body, "joint", name=joint.name, axis=numbers(joint.axis))
+        SubElement(body, "joint", name=joint.name, axis=numbers(joint.axis), armature=numbers(_WHEEL_ARMATURE))
         motor = {"kv": numbers(_WHEEL_GAIN)} | _force(joint, "forcerange")
         SubElement(self._actuators, "velocity", motor, name=joint.name, joint=joint.name)
 

@@ -1,5 +1,6 @@
 """Recordings of drives with physics, in the form that `longreach.sim.kinematic` gives: sensors, and the truth."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -79,8 +80,12 @@ def make_recording(
     world = load_world("laboratory").moved(*middle(drive))
     simulation = Simulation(robot, world, seed=seed, floor=floor, config=config)
 
+    rate = simulation.promises.base_rate
+    motion = move(drive, np.arange(math.ceil(duration * rate) + 1) / rate)
+    twists, poses = motion.twist, motion.poses
+
     def steered(t: float) -> Float[np.ndarray, "3"]:
-        motion = move(drive, np.array([t]))
-        return motion.twist[0] + _WATCHED * se2.difference(simulation.truth().base, motion.poses[0])
+        i = round(t * rate)
+        return twists[i] + _WATCHED * se2.difference(simulation.truth().base, poses[i])
 
     return record(simulation, steered, duration).replace(name=f"physics-{seed}")

@@ -88,9 +88,11 @@ class Line:
 
     def send(self, reading: Any, end: float) -> None:
         """Put a reading on its way that was finished at `end` [s], or lose it."""
-        lost, late = self.rng.random(2)
-        if lost < self.timing.dropout:
-            return
+        late = 0.0
+        if self.timing.dropout or self.timing.jitter:
+            lost, late = self.rng.random(2)
+            if lost < self.timing.dropout:
+                return
         self.arrived = max(self.arrived, end + self.timing.latency + late * self.timing.jitter)
         self.waiting.append((self.arrived, reading))
 
