@@ -87,9 +87,10 @@ def link_bands(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...]) -> 
         k, width = cost.coefficients.shape
         for i in range(width):
             for j in range(i, width):
-                weight = np.broadcast_to(cost.curvature, (k, Z.shape[1])) * (
-                    cost.coefficients[:, i] * cost.coefficients[:, j]
-                )[:, None]
+                weight = (
+                    np.broadcast_to(cost.curvature, (k, Z.shape[1]))
+                    * (cost.coefficients[:, i] * cost.coefficients[:, j])[:, None]
+                )
                 bands[j - i][i : i + k] += (Z[i : i + k] * weight[:, :, None]).transpose(0, 2, 1) @ Z[j : j + k]
     return bands
 
@@ -129,7 +130,9 @@ def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
     return P, np.einsum("kjp,kj->kp", q.Z, g).ravel()
 
 
-def _piqp(P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float, exact: float) -> tuple[np.ndarray, np.ndarray] | None:
+def _piqp(
+    P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float, exact: float
+) -> tuple[np.ndarray, np.ndarray] | None:
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = exact
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.1 * exact

@@ -8,10 +8,10 @@ from jaxtyping import Float
 from longreach.configuration import ConfigurationTrajectory, TaskReport
 from longreach.errors import PlanningError
 from longreach.planning import sqp
-from longreach.planning.sqp_merit import merits, objectives
 from longreach.planning.links import Link, Smoothness, StepLimit
 from longreach.planning.problem import Layout, Problem, evaluate
 from longreach.planning.program import Program, outside
+from longreach.planning.sqp_merit import merits, objectives
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
 from longreach.planning.terms import NearSeed, Waypoints
 from longreach.planning.terms_clearance import Clearance, least_clearance
@@ -69,15 +69,18 @@ def plan_by_sqp(
     """
     config = (config or sqp.SqpConfig()).model_copy(update={"iterations": iterations})
     problem = problem or thesis_problem()
-    if initial is not None:
-        start = _resampled(initial, reference)
-        solution = (_clear_between if coupled else _apart)(robot, reference, problem, start, config)
-    elif coupled:
-        problem, start = _coupled_start(robot, reference, q0, problem)
+    if not coupled:
+        starts = _starts(robot, reference, q0, problem) if initial is None else _resampled(initial, reference)[None]
+        solution = _best_alone(robot, reference, starts, problem, config)
+    else:
+        starts = _starts(robot, reference, q0, problem)
+        problem = _fitted(problem, starts[0])
+        if initial is None:
+            start = _coupled_start(robot, reference, q0, problem, starts)
+        else:
+            start = _resampled(initial, reference)
         start = _moved_clear(robot, reference, problem, start, config)
         solution = _clear_between(robot, reference, problem, start, config)
-    else:
-        solution = _best_alone(robot, reference, q0, problem, config)
     reports = tuple(_report(name, off, solution, problem) for name, off in solution.off.items())
     return OptimisedTrajectory(reference.stamps, solution.q, robot.joint_names, reports=reports, solution=solution)
 
@@ -113,10 +116,9 @@ def _starts(
 
 
 def _best_alone(
-    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem, config: sqp.SqpConfig
+    robot: MobileManipulator, reference: Reference, starts: np.ndarray, problem: Problem, config: sqp.SqpConfig
 ) -> SqpSolution:
-    """Return the best answer at each waypoint by itself, over the starts."""
-    starts = _starts(robot, reference, q0, problem)
+    """Return the best answer at each waypoint by itself, over the starts (s, N, n)."""
     s, N, n = starts.shape
     index = np.tile(np.arange(N), s)
     program = Program.of(problem, robot, reference, index[:, None])
@@ -127,23 +129,18 @@ def _best_alone(
 
 
 def _coupled_start(
-    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem
-) -> tuple[Problem, Float[np.ndarray, "N n"]]:
-    """Return a start whose heading is at that end of its band where the cost is less, changing over slowly.
-
-    With it comes the problem with a limit of steps that it can keep.
-    """
-    starts = _starts(robot, reference, q0, problem)
-    problem = _fitted(problem, starts[0])
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem, starts: np.ndarray
+) -> Float[np.ndarray, "N n"]:
+    """Return a start whose heading is at that end of its band where the cost is less, changing over slowly."""
     if len(starts) == 1:
-        return problem, starts[0]
+        return starts[0]
     s, N, n = starts.shape
     at = Waypoints(robot, reference, np.tile(np.arange(N), s), starts.reshape(s * N, n))
     cost = evaluate(replace(problem, constraints=(), links=(), limits=True), at).f.reshape(s, N)
     band = _band(problem, reference)
     limits = [link.step for link in problem.links if isinstance(link, StepLimit)]
     rate = min(_RAMP * min([*limits, band]), np.abs(np.diff(starts[0], axis=0)).max(initial=band))
-    return problem, _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
+    return _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
 
 
 def _moved_clear(
@@ -156,12 +153,6 @@ def _moved_clear(
         return start
     near = Problem((NearSeed(start, np.ones(robot.dof)),), problem.constraints, (), problem.limits)
     return optimise(robot, reference, near, start, False, config).q
-
-
-def _apart(
-    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
-) -> SqpSolution:
-    return optimise(robot, reference, problem, start, False, config)
 
 
 def _clear_between(
