@@ -68,9 +68,18 @@ def test_on_a_good_floor_the_base_moves_within_3_percent_of_the_command(twist):
 
 def test_slip_grows_as_friction_falls():
     good, wet, slippery = (slip(floor) for floor in ("good", "wet", "slippery"))
-    assert good < 0.1
+    assert good < 0.05
     assert wet > 2.0 * good
     assert slippery > 1.3 * wet
+
+
+@pytest.mark.parametrize("floor", ["good", "wet"])
+def test_friction_gives_no_energy_a_base_that_is_driven_hard_does_not_outrun_its_wheels(floor):
+    simulation = Simulation(THING, EMPTY, floor=floor)
+    readings = drive(simulation, [1.0, 0.0, 0.0], 0.3)
+    rolled = np.diff([w.ticks for w in all_of(readings, "wheels")], axis=0) @ BASE.forward_matrix.T / 0.02
+    gone = np.diff([t.base for t in simulation.truths()[::2]], axis=0)[: len(rolled)] / 0.02
+    assert np.all(gone[:, 0] < rolled[:, 0] + 0.01)
 
 
 def test_at_rest_nothing_moves_and_the_imu_feels_gravity(rest):
