@@ -172,7 +172,7 @@ def test_after_a_stop_only_a_new_command_moves_the_robot_again(moving, kind):
     moving.state = safety.reset(moving.state)
     sizes = [np.abs(moving.tick(command=None).base).max() for _ in range(20)]
     assert np.all(np.diff(sizes) < 0.0) or sizes[-1] == 0.0
-    assert moving.state.stop is None
+    assert moving.state.stop is None or moving.state.stop.cause == "silence"
 
 
 def test_a_streak_is_of_one_source_and_in_a_row(moving):
@@ -193,11 +193,11 @@ def test_a_command_that_stays_away_for_a_few_ticks_goes_on(moving):
 
 
 def test_where_only_the_arm_falls_silent_the_base_goes_on(moving):
-    for _ in range(60):
+    for _ in range(90):
         out = moving.tick(command=Command(moving.now, base=TWIST))
     np.testing.assert_array_equal(out.arm, 0.0)
     np.testing.assert_allclose(out.base, TWIST)
-    for _ in range(60):
+    for _ in range(90):
         out = moving.tick(command=Command(moving.now, CRUISE))
     np.testing.assert_array_equal(out.base, 0.0)
     np.testing.assert_allclose(out.arm, CRUISE)
