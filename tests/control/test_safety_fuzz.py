@@ -13,7 +13,7 @@ from longreach.kernels import kernel
 
 HOLD = 0.04
 SLACK = 1e-9
-RUNS = 30  # of the whole gate, each way of driving it
+RUNS = 15  # of the whole gate, each way of driving it
 
 
 def wishes(rng, v_max, count):
