@@ -34,8 +34,8 @@ def _row(T, J, near, normal, out):
 def clearances(T, J, a, b, radius, capsules, boxes, value, jacobian):
     """Fill value (w, k) and jacobian (w, k, n) with the signed distances of one capsule from k obstacles.
 
-    The capsule is a to b (3,) in the frame at T (w, 4, 4). capsules (c, 7): [ends, radius]; boxes (k - c, 15): [rotation
-    row by row, middle, half sizes].
+    The capsule is a to b (3,) in the frame at T (w, 4, 4). capsules (c, 7): [ends, radius]; boxes (k - c, 15):
+    [rotation row by row, middle, half sizes].
     """
     start, end, s, e, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     near, normal, origin = np.empty(3), np.empty(3), np.zeros(3)

@@ -1,5 +1,7 @@
 """The subproblem where its rows contradict each other: all but the box give way, at the merit function's price."""
 
+from typing import Any
+
 import numpy as np
 import piqp
 import scipy.sparse as sp
@@ -32,7 +34,7 @@ def elastic(
     price = np.concatenate(
         [np.tile(penalties[0], N), np.tile(penalties[1], N), *(np.full(len(link[1]), link[3]) for link in on_links)]
     )
-    m = rows.shape[0]
+    m = len(price)
     G = sp.hstack([rows, sp.eye(m), -sp.eye(m)]).tocsr()  # low ≤ rows d + s⁺ - s⁻ ≤ high
     P = _blocks(q.Z @ q.H @ q.Z.transpose(0, 2, 1)) + _FLOOR * sp.eye(N * n)
     for cost in q.costs:
@@ -41,7 +43,7 @@ def elastic(
     P = sp.block_diag([P, _FLOOR * sp.eye(2 * m)])
     lower = np.concatenate([np.maximum(q.lower[:, r:], -q.reach).ravel(), np.zeros(2 * m)])
     upper = np.concatenate([np.minimum(q.upper[:, r:], q.reach).ravel(), np.full(2 * m, np.inf)])
-    solver = piqp.SparseSolver()
+    solver: Any = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 100 * EXACT
     equations, others = G[: N * e].tocsc(), G[N * e :].tocsc()
     solver.setup(

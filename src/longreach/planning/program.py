@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from longreach.errors import PlanningError
-from longreach.planning.links import Smoothness
+from longreach.planning.links import LinkLimit, Smoothness
 from longreach.planning.problem import Evaluation, Layout, Problem, evaluate
 from longreach.planning.subproblem import Difference
 from longreach.planning.terms import Waypoints
@@ -20,7 +20,8 @@ Trajectories = Float[np.ndarray, "B N n"]
 class Program:
     """What the solver sees of a problem. index (B, N): which waypoint of the reference each configuration is for.
 
-    feasibility: the problem without its costs. lower, upper (n,): the joints' limits; costs and limits: the links, where N > 1.
+    feasibility: the problem without its costs. lower, upper (n,): the joints' limits; costs and limits: the links,
+    where N > 1.
     """
 
     robot: MobileManipulator
@@ -50,7 +51,7 @@ class Program:
             if isinstance(link, Smoothness):
                 none = np.empty((0, robot.dof))
                 costs.append(Difference(coefficients, none, none, 2.0 * link.weight))
-            else:
+            elif isinstance(link, LinkLimit):
                 bound = link.limits(robot, reference)
                 if not np.all(bound > 0):
                     raise PlanningError(f"The limits of {link.name!r} must be above 0.")

@@ -3,6 +3,8 @@
 Of the many rows few ever bind, so that a row takes part only once a solution has been near it.
 """
 
+from typing import Any
+
 import numpy as np
 import piqp
 import scipy.sparse as sp
@@ -133,13 +135,13 @@ def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
 def _piqp(
     P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float, exact: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    solver = piqp.SparseSolver()
+    solver: Any = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = exact
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.1 * exact
     solver.settings.preconditioner_iter = 2  # a waypoint's numbers are of like size
     box = np.full(len(c), reach)
     G, low, high = rows
-    some = G.shape[0] > 0
+    some = len(low) > 0
     solver.setup(P, c, None, None, *((G.tocsc(), low, high) if some else (None, None, None)), -box, box)
     status, result = solver.solve(), solver.result
     nearly = status in (piqp.PIQP_MAX_ITER_REACHED, piqp.PIQP_NUMERICS)

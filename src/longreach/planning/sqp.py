@@ -29,21 +29,24 @@ class SqpConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    accept: float = Field(0.25, ge=0, lt=1)  # c, the least TrueImprove/ModelImprove of a step that is taken
-    shrink: float = Field(0.1, gt=0, lt=1)  # τ⁻, of the trust region after a step that is not
-    expand: float = Field(1.5, ge=1)  # τ⁺, of the trust region after a step that is
-    trust: float = Field(0.1, gt=0)  # δ [rad, m] at first: the farthest one joint goes in one iteration
-    least_trust: float = Field(1e-6, gt=0)  # δ below which nothing more is to be had; TrajOpt's is 1e-4
-    most_trust: float = Field(0.5, gt=0)  # δ at most
-    penalty: float = Field(10.0, gt=0)  # μ of each constraint at first
-    raise_by: float = Field(10.0, gt=1)  # k, of the penalties of constraints that are still violated
-    raises: int = Field(5, ge=0)  # how often at most
-    stalled: float = Field(1e-4, gt=0)  # part of the merit: with less to gain, violated constraints stay so at this μ
-    curvature_floor: float = Field(1e-3, gt=0)  # the least curvature of a subproblem, so that it is convex
-    iterations: int = Field(60, ge=1)  # at most, of all penalties together
-    stationary: float = Field(5e-7, gt=0)  # the KKT residual of an answer called solved
-    feasible: float = Field(1e-8, gt=0)  # its largest violation [m, rad, or the constraint's unit]
-    budget: float = Field(float("inf"), gt=0)  # [s]; then the best that was found counts
+    accept: float = Field(default=0.25, ge=0, lt=1)  # c, the least TrueImprove/ModelImprove of a step that is taken
+    shrink: float = Field(default=0.1, gt=0, lt=1)  # τ⁻, of the trust region after a step that is not
+    expand: float = Field(default=1.5, ge=1)  # τ⁺, of the trust region after a step that is
+    trust: float = Field(default=0.1, gt=0)  # δ [rad, m] at first: the farthest one joint goes in one iteration
+    least_trust: float = Field(default=1e-6, gt=0)  # δ below which nothing more is to be had; TrajOpt's is 1e-4
+    most_trust: float = Field(default=0.5, gt=0)  # δ at most
+    penalty: float = Field(default=10.0, gt=0)  # μ of each constraint at first
+    raise_by: float = Field(default=10.0, gt=1)  # k, of the penalties of constraints that are still violated
+    raises: int = Field(default=5, ge=0)  # how often at most
+    stalled: float = Field(
+        default=1e-4, gt=0
+    )  # part of the merit: with less to gain, violated constraints stay so at this μ
+    curvature_floor: float = Field(default=1e-3, gt=0)  # the least curvature of a subproblem, so that it is convex
+    iterations: int = Field(default=60, ge=1)  # at most, of all penalties together
+    stationary: float = Field(default=5e-7, gt=0)  # the KKT residual of an answer called solved
+    feasible: float = Field(default=1e-8, gt=0)  # its largest violation [m, rad, or the constraint's unit]
+    met: float = Field(default=1e-6, gt=0)  # violations up to this are none: what an answer is reported by
+    budget: float = Field(default=float("inf"), gt=0)  # [s]; then the best that was found counts
 
 
 @dataclass(eq=False)

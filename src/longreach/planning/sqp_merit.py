@@ -30,7 +30,7 @@ def remember(run: Run, b: np.ndarray) -> None:
     if len(b) == 0:
         return
     f = run.program.objective(run.x[b], run.f[b])
-    better = (worst_violation(run.program, run.x[b], run.c[b], b) <= run.config.feasible) & (f < run.best[b])
+    better = (worst_violation(run.program, run.x[b], run.c[b], b) <= run.config.met) & (f < run.best[b])
     run.best[b[better]], run.best_x[b[better]] = f[better], run.x[b[better]]
 
 
@@ -38,7 +38,7 @@ def recall(run: Run) -> None:
     """Go back to the best feasible point where the last one is neither solved nor feasible."""
     b = np.arange(len(run.x))
     behind = np.flatnonzero(
-        ~run.solved & np.isfinite(run.best) & (worst_violation(run.program, run.x, run.c, b) > run.config.feasible)
+        ~run.solved & np.isfinite(run.best) & (worst_violation(run.program, run.x, run.c, b) > run.config.met)
     )
     if len(behind):
         run.kkt[behind] = np.inf

@@ -21,7 +21,6 @@ from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LONG = 1e4  # [s] between the waypoints of a start, so that no limit of speed counts
-_MET = 1e-6  # [m, rad] that counts as nothing
 _FAR = 0.01  # [m, rad] by which a start may violate a constraint that all waypoints together then come to keep
 _WIDENINGS = 4  # of the margins, at most
 _WIDER = 1.5  # by which a margin grows, in what was missing between waypoints
@@ -81,7 +80,7 @@ def plan_by_sqp(
             start = _resampled(initial, reference)
         start = _moved_clear(robot, reference, problem, start, config)
         solution = _clear_between(robot, reference, problem, start, config)
-    reports = tuple(_report(name, off, solution, problem) for name, off in solution.off.items())
+    reports = tuple(_report(name, off, solution, problem, config.met) for name, off in solution.off.items())
     return OptimisedTrajectory(reference.stamps, solution.q, robot.joint_names, reports=reports, solution=solution)
 
 
@@ -146,7 +145,7 @@ def _coupled_start(
 def _moved_clear(
     robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
 ) -> np.ndarray:
-    """Return the start with each waypoint that constraints are far from holding at moved to the nearest where they do."""
+    """Return the start with each waypoint where constraints are far from holding moved to the nearest where they do."""
     at = Waypoints(robot, reference, np.arange(len(start)), np.clip(start, robot.lower, robot.upper))
     e, layout = evaluate(replace(problem, costs=(), links=(), limits=True), at), Layout.of(problem, at)
     if outside(e.c, layout.lower, layout.upper).max(initial=0.0) <= _FAR:
@@ -219,13 +218,15 @@ def _fitted(problem: Problem, start: np.ndarray) -> Problem:
     return replace(problem, links=tuple(fit(link) for link in problem.links))
 
 
-def _report(name: str, off: Float[np.ndarray, "k m"], solution: SqpSolution, problem: Problem) -> TaskReport:
+def _report(
+    name: str, off: Float[np.ndarray, "k m"], solution: SqpSolution, problem: Problem, met: float
+) -> TaskReport:
     """Say what became of one constraint."""
     N = len(solution.q)
     size = np.zeros((N, 2))
     tool = any(isinstance(term, ToolPose) and term.name == name for term in problem.constraints)
     size[: len(off), 0] = np.linalg.norm(off[:, :3], axis=1) if tool else off.max(axis=1, initial=0.0)
     size[: len(off), 1] = np.linalg.norm(off[:, 3:], axis=1) if tool else 0.0
-    unmet = off.max(axis=1, initial=0.0) > _MET
+    unmet = off.max(axis=1, initial=0.0) > met
     reason = solution.status if unmet.any() else f"The {name} is met everywhere."
     return TaskReport(name, size[:, 0], size[:, 1], np.concatenate([unmet, np.zeros(N - len(off), dtype=bool)]), reason)

@@ -19,9 +19,10 @@ class SqpSolution:
 
     objective (N,): each waypoint's cost, without smoothness. solved (N,): whether each is called solved. kkt (N,): the
     largest of |∇L| and |λ · slack|, one number for all where they were solved together. off: by how much each value of
-    each constraint (N, m), and of each limited link (k, n), is outside its bounds. multipliers: λ of each constraint (N, m), of "joint limits"
-    (N, n) and of links (k, n), above 0 at an upper and below at a lower bound. status: a sentence; violated: the names
-    of those that are not met. history: merit, violation, trust region and penalty after each iteration.
+    each constraint (N, m), and of each limited link (k, n), is outside its bounds. multipliers: λ of each constraint
+    (N, m), of "joint limits" (N, n) and of links (k, n), above 0 at an upper and below at a lower bound. status: a
+    sentence; violated: the names of those that are not met. history: merit, violation, trust region and penalty after
+    each iteration.
     """
 
     q: Float[np.ndarray, "N n"]
@@ -60,7 +61,7 @@ def solution_of(run: Run, chosen: np.ndarray) -> SqpSolution:
     multipliers |= {LIMITS: run.lam_limits[chosen].reshape(-1, n)}
     multipliers |= dict(zip(link_names, run.lam_links, strict=True))
     kkt, solved = (np.repeat(part[chosen], N) for part in (run.kkt, run.solved))
-    violated = tuple(name for name, size in violations.items() if size > run.config.feasible)
+    violated = tuple(name for name, size in violations.items() if size > run.config.met)
     worst = {name: int(np.argmax(off[name].max(axis=1))) for name in violated}
     status = _status(run, solved, violations, violated, worst, multipliers)
     return SqpSolution(

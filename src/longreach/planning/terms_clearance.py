@@ -1,4 +1,4 @@
-"""Constraints that keep the robot clear of what stands around it, and of itself; (4.29) corrected: distance ≥ margin."""
+"""Constraints that keep the robot clear of what stands around it, and of itself: (4.29) corrected."""
 
 from dataclasses import dataclass, field
 
@@ -83,7 +83,7 @@ def _ends(obstacle: Obstacle) -> list[float]:
 
 
 def base_capsule(radius: float, frame: str = "base_link") -> LinkCapsule:
-    """Return the base as a disc of this radius [m], as high as may be: seen from above, under a table counts as in it."""
+    """Return the base as an endless upright disc of this radius [m]: seen from above, under a table counts as in it."""
     return LinkCapsule(frame, Capsule(-_ENDLESS * _UP, _ENDLESS * _UP, radius))
 
 
@@ -102,7 +102,7 @@ def arm_clearance(robot: MobileManipulator, obstacles: tuple[Obstacle, ...], mar
 
 @dataclass(frozen=True, eq=False)
 class SelfClearance(Constraint):
-    """Distances [m] of capsules of the robot from boxes that one of its frames carries, the base say, at least margin."""
+    """Distances [m], at least `margin`, of capsules of the robot from boxes that one of its frames carries."""
 
     capsules: tuple[LinkCapsule, ...]
     boxes: tuple[Box, ...]

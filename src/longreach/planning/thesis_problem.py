@@ -22,8 +22,8 @@ def thesis_problem(
     Arguments: base_radius [m], heading_band [rad]: how far the base may be from its reference, exactly; manipulability:
         of the whole Jacobian (full) or the arm's own (arm); objective: sqrt_kappa_over_m (4.33), neg_log_m, neg_m or
         kappa. Between neighbouring waypoints of a whole trajectory: smoothness, the weight of their squared steps, in
-        parts of the start's mean; largest_step [m, rad]: how far no joint goes at once, but at least 1.5 times as far as
-        the start makes it.
+        parts of the start's mean; largest_step [m, rad]: how far no joint goes at once, but at least 1.5 times as far
+        as the start makes it.
     """
     return Problem(
         costs=(Manipulability(objective, manipulability),),
