@@ -33,12 +33,10 @@ def write_estimate(estimate: Estimate, out: str | Path, progress: Progress | Non
     config = to_yaml(estimate.config)
     e = estimate.evaluation
     with whole_folder(Path(out)) as folder:
-        for name, trajectory in e.trajectories.items():
-            write_tum(folder / f"{name}.tum", trajectory)
-        _write_covariances(folder / "covariance.npz", e.trajectories)
+        write_trajectories(folder, e.trajectories)
         _write_matches(folder / "lidar_matches.npz", estimate)
         (folder / "robot.yaml").write_text(to_yaml(estimate.robot), encoding="utf-8")
-        drawn = _comparison_figures(e) | _estimate_figures(estimate)
+        drawn = comparison_figures(e) | estimate_figures(estimate)
         title = f"Estimate of {estimate.recording.name}"
         write_results(folder, title, _introduction(estimate), e.metrics, drawn, config, tell, e.remarks)
 
@@ -55,17 +53,19 @@ def write_evaluation(evaluation: Evaluation, out: Path, progress: Progress | Non
     tell = progress or (lambda stage, fraction: None)
     with whole_folder(out) as folder:
         introduction, config = f"Trajectories: {', '.join(evaluation.trajectories)}.", to_yaml(evaluation.config)
-        e, drawn = evaluation, _comparison_figures(evaluation)
+        e, drawn = evaluation, comparison_figures(evaluation)
         write_results(folder, "Evaluation", introduction, e.metrics, drawn, config, tell, e.remarks)
 
 
-def _write_covariances(path: Path, trajectories: Mapping[str, PoseTrajectory]) -> None:
+def write_trajectories(folder: Path, trajectories: Mapping[str, PoseTrajectory]) -> None:
+    """Write a TUM file each, and covariance.npz, into a folder that is there."""
     arrays = {}
     for name, trajectory in trajectories.items():
+        write_tum(folder / f"{name}.tum", trajectory)
         if trajectory.covariance is not None:
             arrays[f"{name}_stamps"] = trajectory.stamps
             arrays[f"{name}_covariance"] = trajectory.covariance
-    np.savez_compressed(path, **arrays)
+    np.savez_compressed(folder / "covariance.npz", **arrays)
 
 
 def _write_matches(path: Path, estimate: Estimate) -> None:
@@ -89,7 +89,7 @@ def is_degenerate(match: RelativePoseMeasurement) -> bool:
     return bool(np.linalg.eigvalsh(match.covariance)[-1] > 1.0)
 
 
-def _comparison_figures(evaluation: Evaluation) -> dict[str, Callable[[], Figure]]:
+def comparison_figures(evaluation: Evaluation) -> dict[str, Callable[[], Figure]]:
     """Return how to draw what compares trajectories with each other and with the references."""
     trajectories, truth = evaluation.trajectories, evaluation.trajectories.get("truth")
     drawn: dict[str, Callable[[], Figure]] = {"paths": lambda: figures.paths(_in_one_frame(evaluation))}
@@ -113,7 +113,7 @@ def _nonempty(errors: Mapping[str, RelationErrors]) -> dict[str, RelationErrors]
     return {name: e for name, e in errors.items() if e.used}
 
 
-def _estimate_figures(estimate: Estimate) -> dict[str, Callable[[], Figure]]:
+def estimate_figures(estimate: Estimate) -> dict[str, Callable[[], Figure]]:
     """Return how to draw what only a whole estimation knows: the scan map and the innovations."""
     drawn: dict[str, Callable[[], Figure]] = {}
     nis = innovations(estimate.corrections)

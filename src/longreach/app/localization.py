@@ -1,0 +1,123 @@
+"""The thesis' first experiment (6.1), simulated: fast erratic driving, and where each set of sensors says it was."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.app.configuration import EstimateConfig, EvaluationConfig, Source
+from longreach.app.estimate import Estimate, estimate
+from longreach.app.evaluate import Evaluation, Metrics, evaluate
+from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
+from longreach.app.results import write_results
+from longreach.evaluation.tables import Metric, metric
+from longreach.io.bag_writer import write_bag
+from longreach.io.config import to_yaml
+from longreach.io.robots import load_robot
+from longreach.io.whole_files import whole_folder
+from longreach.measurement import Recording
+from longreach.sim.record import make_recording
+
+Progress = Callable[[str, float], None]
+
+# What is fused in each estimate: figure 6.2 has wheels alone, LIDAR alone, and both.
+VARIANTS: Mapping[str, tuple[Source, ...] | None] = {
+    "fused": None,
+    "wheels_lidar": ("wheels", "lidar"),
+    "wheels_imu": ("wheels", "imu"),
+}
+_COMPARED = ("position_mse", "heading_mse", "final_position_error", "final_heading_error", "ate_rmse", "nees_mean")
+
+
+class LocalizationConfig(BaseModel):
+    """Settings of the experiment."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    robot: str = Field(default="thing", description="A robot that has physics.")
+    seed: int = Field(default=0, ge=0, description="Of everything random.")
+    seeds: int = Field(default=1, ge=1, description="How many runs, with seeds counted on from the first.")
+    duration: float = Field(default=120.0, ge=1.0, description="Of the drive [s]; the thesis' 120 s.")
+    floor: str | float = Field(default="good", description="good, worn, wet, slippery, or a coefficient of friction.")
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """One run: what was recorded, the estimate from all sensors, and all estimates held against the truth."""
+
+    recording: Recording
+    fused: Estimate
+    evaluation: Evaluation
+
+
+def localize(config: LocalizationConfig, seed: int, progress: Progress | None = None) -> Localization:
+    """Drive, record, and estimate from each set of sensors; the truth is for comparison alone."""
+    tell = progress or (lambda stage, fraction: None)
+    robot = load_robot(config.robot)
+    tell("simulation", 0.0)
+    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor)
+    none = EvaluationConfig(align="none")
+    estimates = {}
+    for i, (name, sources) in enumerate(VARIANTS.items()):
+        tell("estimation", i / len(VARIANTS))
+        estimates[name] = estimate(recording, robot, EstimateConfig(sources=sources, evaluation=none))
+    fused = estimates["fused"]
+    paths = {name: e.trajectories["fused"] for name, e in estimates.items()}
+    paths |= {name: fused.trajectories[name] for name in ("wheels", "lidar")}
+    return Localization(recording, fused, evaluate(paths, recording.truth, config=none))
+
+
+def run_localization(config: LocalizationConfig, out: Path, progress: Progress | None = None) -> Metrics:
+    """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
+    tell = progress or (lambda stage, fraction: None)
+    first = localize(config, config.seed, tell)
+    metrics: Metrics = first.evaluation.metrics
+    remarks = list(first.evaluation.remarks)
+    if config.seeds > 1:
+        tell("more seeds", 0.0)
+        seeds = range(config.seed + 1, config.seed + config.seeds)
+        jobs = Parallel(n_jobs=-1, return_as="generator_unordered")(delayed(_metrics)(config, seed) for seed in seeds)
+        runs = [metrics]
+        for found in jobs:
+            runs.append(found)
+            tell("more seeds", len(runs) / config.seeds)
+        metrics = spread(runs)
+        remarks.append(f"Numbers are means and standard deviations over {config.seeds} seeds; figures show the first.")
+    _write(config, first, metrics, remarks, out, tell)
+    return metrics
+
+
+def _metrics(config: LocalizationConfig, seed: int) -> Metrics:
+    return localize(config, seed).evaluation.metrics
+
+
+def spread(runs: Sequence[Metrics]) -> dict[str, dict[str, Metric]]:
+    """Return mean and standard deviation (`…_std`) of each metric over runs."""
+    found: dict[str, dict[str, Metric]] = {}
+    for who, named in runs[0].items():
+        found[who] = {}
+        for name in _COMPARED:
+            if name in named:
+                values = np.array([np.nan if (v := r[who][name]["value"]) is None else v for r in runs], dtype=float)
+                found[who][name] = metric(float(np.mean(values)), named[name]["unit"])
+                found[who][f"{name}_std"] = metric(float(np.std(values)), named[name]["unit"])
+    return found
+
+
+def _write(
+    config: LocalizationConfig, run: Localization, metrics: Metrics, remarks: Sequence[str], out: Path, tell: Progress
+) -> None:
+    introduction = (
+        f"The {run.fused.robot.name} drives fast and erratically through the laboratory for {config.duration:g} s, on "
+        f"a floor called {config.floor}, with physics: wheels with rollers, which slip.\n\nfused: wheels, LIDAR, IMU; "
+        "wheels_lidar and wheels_imu: without the third; wheels: integrated; lidar: alone."
+    )
+    with whole_folder(out) as folder:
+        tell("writing", 0.0)
+        write_bag(folder / "recording.mcap", run.recording, run.fused.robot)
+        write_trajectories(folder, run.evaluation.trajectories)
+        drawn = comparison_figures(run.evaluation) | estimate_figures(run.fused)
+        write_results(folder, "Localization", introduction, metrics, drawn, to_yaml(config), tell, remarks)
