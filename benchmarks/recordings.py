@@ -3,8 +3,8 @@
     python benchmarks/recordings.py [--data FOLDER]
 
 FOLDER (or LONGREACH_DATA) holds intel/, aces/, brenner/ and polimi/. Bars: wheels alone have 0.0220 m / 1.46° on
-Intel's relations spanning up to 5 s, rf2o's C++ alone 0.0256 m / 0.262°; nominal wheels 0.102 m and 0.210 m ATE on polimi's
-bags 1 and 3, 0.429 m on brenner. One core, kernels warm; exit code 1 when a bar is missed.
+Intel's relations spanning up to 5 s, rf2o's C++ alone 0.0256 m / 0.262°; nominal wheels 0.102 m and 0.210 m ATE on
+polimi's bags 1 and 3, 0.429 m on brenner. One core, kernels warm; exit code 1 when a bar is missed.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """longreach keeps a mobile manipulator's hand where you think it is, over long trajectories."""
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 __version__ = "0.1.0"
 

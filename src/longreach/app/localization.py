@@ -82,7 +82,8 @@ def run_localization(config: LocalizationConfig, out: Path, progress: Progress |
         jobs = Parallel(n_jobs=-1, return_as="generator_unordered")(delayed(_metrics)(config, seed) for seed in seeds)
         runs = [metrics]
         for found in jobs:
-            runs.append(found)
+            if found is not None:  # a task gives what its function does; the type says it may be nothing
+                runs.append(found)
             tell("more seeds", len(runs) / config.seeds)
         metrics = spread(runs)
         remarks.append(f"Numbers are means and standard deviations over {config.seeds} seeds; figures show the first.")

@@ -24,6 +24,7 @@ def _remove(V, first, last, a, parts):
     before = 0.0
     for k in range(n):
         before += a[k] * a[k]
+    after = before
     for _ in range(2):  # twice is enough (Kahan; Parlett 1980, section 6-9)
         for j in range(last):
             along = 0.0

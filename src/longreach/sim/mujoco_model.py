@@ -32,8 +32,8 @@ WRENCH_LINK = "ft300"  # what hangs on this link is felt by the force-torque sen
 _CAMERAS = {"kinect2": "0 -1 0 0 0 1", "realsense": "1 0 0 0 -1 0"}
 
 _WHEEL_GAIN = 30.0  # torque for an error in speed [N m s]; ours: 230 kg follow within 13 ms
-# A wheel's motor behind its gear of 35 [kg m²]; ours. Needed beside being real: the integrator damps a wheel by its gain
-# times the step, of which the contacts know nothing; where that outweighs the inertia, wheels slip forward under load.
+# A wheel's motor behind its gear of 35 [kg m²]; ours. It is needed, too: the integrator damps a wheel by its gain times
+# the step, of which the contacts know nothing; where that outweighs the inertia, wheels slip forward under load.
 _WHEEL_ARMATURE = 0.06
 _ROLLER_MASS_PART = 0.2  # of a wheel's mass that is its rollers'; ours
 _ARMATURE = 1.0 / 300.0  # a motor's inertia behind its gear for each N m that the joint can give [kg m²]; ours
