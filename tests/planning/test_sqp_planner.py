@@ -94,6 +94,12 @@ def test_an_obstacle_on_the_way_without_room_is_named_within_the_budget():
     assert any(report.unmet.any() and "base clearance" in report.reason for report in trajectory.reports)
 
 
+def test_an_obstacle_that_contains_the_start_is_refused():
+    term = base_clearance(0.62, (Disc(np.array([0.1, 0.0]), 0.3),))
+    with pytest.raises(PlanningError, match=r"'base clearance' contains the start: base_link is 0\.2 m inside it"):
+        plan(reference(2), problem=lr.thesis_problem(0.3).adding(term))
+
+
 def test_a_bolted_arm_is_planned_for_without_a_base():
     ur10 = lr.load_robot("ur10")
     q = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])

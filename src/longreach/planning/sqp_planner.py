@@ -1,5 +1,6 @@
 """Plans by sequential convex optimisation: where it starts from, and how its answer becomes a trajectory."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from longreach.planning.problem import Layout, Problem, evaluate
 from longreach.planning.program import Program, outside
 from longreach.planning.sqp_merit import merits, objectives
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
+from longreach.planning.task_priority import checked_start
 from longreach.planning.terms import NearSeed, Waypoints
 from longreach.planning.terms_clearance import Clearance, least_clearance
 from longreach.planning.terms_pose import BaseHeading, ToolPose
@@ -68,6 +70,7 @@ def plan_by_sqp(
     """
     config = (config or sqp.SqpConfig()).model_copy(update={"iterations": iterations})
     problem = problem or thesis_problem()
+    _check_start(robot, checked_start(robot, q0), problem)
     if not coupled:
         starts = _starts(robot, reference, q0, problem) if initial is None else _resampled(initial, reference)[None]
         solution = _best_alone(robot, reference, starts, problem, config)
@@ -78,10 +81,31 @@ def plan_by_sqp(
             start = _coupled_start(robot, reference, q0, problem, starts)
         else:
             start = _resampled(initial, reference)
+        end = time.monotonic() + config.budget
         start = _moved_clear(robot, reference, problem, start, config)
-        solution = _clear_between(robot, reference, problem, start, config)
+        solution = _clear_between(robot, reference, problem, start, config, end)
     reports = tuple(_report(name, off, solution, problem, config.met) for name, off in solution.off.items())
     return OptimisedTrajectory(reference.stamps, solution.q, robot.joint_names, reports=reports, solution=solution)
+
+
+def _check_start(robot: MobileManipulator, q0: np.ndarray, problem: Problem) -> None:
+    """Raise a PlanningError where an obstacle holds what should keep clear of it: no way leads out."""
+    for term in problem.constraints:
+        if isinstance(term, Clearance):
+            at = Waypoints(robot, Reference(np.zeros(1), base=np.zeros((1, 3))), np.zeros(1, dtype=int), q0[None])
+            depth = -term.value_and_jacobian(at)[0][0].reshape(len(term.capsules), -1).min(axis=1)
+            deepest = depth - [link.capsule.radius for link in term.capsules]
+            if deepest.max() > 0:
+                frame = term.capsules[int(deepest.argmax())].frame
+                raise PlanningError(
+                    f"An obstacle of {term.name!r} contains the start: {frame} is {deepest.max():.3g} m inside it; "
+                    "move the robot or the obstacle."
+                )
+
+
+def _left(config: sqp.SqpConfig, end: float) -> sqp.SqpConfig:
+    """Return the settings with what is left of the time."""
+    return config.model_copy(update={"budget": max(end - time.monotonic(), 1e-3)})
 
 
 def _resampled(initial: ConfigurationTrajectory, reference: Reference) -> np.ndarray:
@@ -151,14 +175,16 @@ def _moved_clear(
     if outside(e.c, layout.lower, layout.upper).max(initial=0.0) <= _FAR:
         return start
     near = Problem((NearSeed(start, np.ones(robot.dof)),), problem.constraints, (), problem.limits)
-    return optimise(robot, reference, near, start, False, config).q
+    half = config.model_copy(update={"budget": 0.5 * config.budget})
+    return optimise(robot, reference, near, start, False, half).q
 
 
 def _clear_between(
-    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
-) -> SqpSolution:
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig,
+    end: float,
+) -> SqpSolution:  # fmt: skip
     """Return the solution, its margins widened until the straight lines between waypoints are clear, too."""
-    solution = optimise(robot, reference, problem, start, True, config)
+    solution = optimise(robot, reference, problem, start, True, _left(config, end))
     wider = problem
     for _ in range(_WIDENINGS):
         short = {
@@ -166,7 +192,7 @@ def _clear_between(
             for term in problem.constraints
             if isinstance(term, Clearance)
         }
-        if solution.violated or all(gap <= 0.0 for gap in short.values()):
+        if solution.violated or time.monotonic() > end or all(gap <= 0.0 for gap in short.values()):
             break
         terms = [
             replace(term, margin=term.margin + _WIDER * max(short.get(term.name, 0.0), 0.0))
@@ -175,7 +201,7 @@ def _clear_between(
             for term in wider.constraints
         ]
         wider = replace(wider, constraints=tuple(terms))
-        solution = optimise(robot, reference, wider, solution.q, True, config)
+        solution = optimise(robot, reference, wider, solution.q, True, _left(config, end))
     return solution
 
 
