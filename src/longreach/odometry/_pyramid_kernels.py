@@ -6,6 +6,7 @@ Loops over beams run with fastmath, so nothing infinite or NaN may enter (the fa
 
 import math
 
+from longreach.geometry._kernels import se2_exp
 from longreach.kernels import kernel
 
 
@@ -95,3 +96,52 @@ def warp(r, cos, sin, increment, x, y, theta, warped, weight):
         weight[left + 1] += w
     for u in range(n):
         warped[u] = warped[u] / weight[u] if weight[u] > 1e-3 else 0.0
+
+
+@kernel(fastmath=True)
+def deskew(r, cos, sin, increment, motion, share, flipped, out, weight):
+    """Fill out (n,) with the ranges as they would be seen from where the sweep began.
+
+    motion (3,): the sensor's twist from scan to scan; share: the part of it that goes by from beam to beam.
+    """
+    n = len(r)
+    for u in range(n):
+        out[u] = 0.0
+        weight[u] = 0.0
+    for u in range(n):
+        if r[u] <= 0.0:
+            continue
+        part = share * (n - 1 - u if flipped else u)
+        x, y, t = se2_exp(part * motion[0], part * motion[1], part * motion[2])
+        c, s = math.cos(t), math.sin(t)
+        px, py = r[u] * cos[u], r[u] * sin[u]
+        qx, qy = c * px - s * py + x, s * px + c * py + y
+        position = u + _atan_ratio(cos[u] * qy - sin[u] * qx, cos[u] * qx + sin[u] * qy) / increment
+        distance = math.sqrt(qx * qx + qy * qy)
+        left = math.floor(position)
+        for v in range(left, left + 2):
+            if v >= 0 and v < n:
+                w = 1.0 - abs(position - v)
+                if weight[v] > 0.0 and abs(out[v] / weight[v] - distance) > 0.3:  # two surfaces: the nearer hides
+                    if distance < out[v] / weight[v]:
+                        out[v], weight[v] = w * distance, w
+                    continue
+                out[v] += w * distance
+                weight[v] += w
+    for u in range(n):
+        out[u] = out[u] / weight[u] if weight[u] > 1e-3 else 0.0
+
+
+@kernel
+def sampling_error(ranges, increment, x, y, theta, share):
+    """Deviation [m] of a translation because two scans sample a surface at other points.
+
+    A share of the distance between points, or of what they moved where that is less: at rest the same points are seen.
+    """
+    total, n = 0.0, 0
+    for r in ranges:
+        if r > 0.0:
+            total += r
+            n += 1
+    distance = total / max(n, 1)
+    return share * min(distance * increment, math.hypot(x, y) + distance * abs(theta))

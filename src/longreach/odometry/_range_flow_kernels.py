@@ -11,8 +11,9 @@ import numpy as np
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log
 from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import solve_in_basis, symmetric_eigen
-from longreach.odometry._pyramid_kernels import build_pyramid, clean, warp
+from longreach.odometry._pyramid_kernels import build_pyramid, clean, deskew, sampling_error, warp
 
+_FRESH = 0.3  # weight of the last twist in the running mean
 Settings = namedtuple("Settings", "reach iterations linearisations settled noise c d lags share")
 
 
@@ -243,38 +244,29 @@ def match_pyramids(old, new, start, cos, sin, increments, previous, settings, wo
 
 
 @kernel
-def sampling_error(ranges, increment, x, y, theta, share):
-    """Deviation [m] of a translation because two scans sample a surface at other points.
-
-    A share of the distance between points, or of what they moved where that is less: at rest the same points are seen.
-    """
-    total, n = 0.0, 0
-    for r in ranges:
-        if r > 0.0:
-            total += r
-            n += 1
-    distance = total / max(n, 1)
-    return share * min(distance * increment, math.hypot(x, y) + distance * abs(theta))
-
-
-@kernel
 def step_scan(
-    measured, low, high, flipped, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance
-):
-    """Fill the pyramid `new` from the ranges measured between low and high, and match it against `old`.
+    scan, low, high, flipped, share, old, new, start, cos, sin, increments, motion, mount, settings, pose, covariance
+):  # fmt: skip
+    """Fill the pyramid `new` from the ranges of a scan between low and high, and match it against `old`.
 
-    motion (3,): the laser's last twist per scan, replaced by this one's. Fills the base's pose (3,) and covariance
-    (3, 3), carried from the laser through the planar mount (3,). Returns the rows used on the finest level.
+    motion (2, 3): the laser's last twist per scan and its running mean, both brought up to date. share: the part of it
+    that goes by from beam to beam. Fills the base's pose (3,) and covariance (3, 3), carried from the laser through the
+    planar mount (3,). Returns the rows used on the finest level.
     """
-    n = len(measured)
+    n = len(scan)
     ranges = np.empty(n)
-    clean(measured, low, high, flipped, ranges)
+    clean(scan, low, high, flipped, ranges)
+    if share > 0.0:
+        swept = ranges.copy()
+        deskew(swept, cos, sin, increments[0], motion[1], share, flipped, ranges, np.empty(n))
     build_pyramid(ranges, start, settings.reach, new)
     local = np.zeros((3, 3))
     x, y, theta, m = match_pyramids(
-        old, new, start, cos, sin, increments, motion, settings, np.empty((5, n)), np.empty((4, n)), local
+        old, new, start, cos, sin, increments, motion[0], settings, np.empty((5, n)), np.empty((4, n)), local
     )
-    motion[0], motion[1], motion[2] = se2_log(x, y, theta)
+    motion[0, 0], motion[0, 1], motion[0, 2] = se2_log(x, y, theta)
+    for i in range(3):  # a mean, for an error of the last twist would skew the next scan, and come back larger
+        motion[1, i] += _FRESH * (motion[0, i] - motion[1, i])
     deviation = sampling_error(ranges, increments[0], x, y, theta, settings.share)
     for i in range(2):
         local[i, i] += deviation * deviation

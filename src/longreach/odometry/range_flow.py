@@ -3,6 +3,7 @@
 Source: Jaimez, Monroy & Gonzalez-Jimenez 2016, "Planar odometry from a radial laser scanner. A range flow-based
 approach" (the thesis' (3.24)–(3.26)). Where ours differs from its authors' implementation, and why:
 * true beam angles, any field of view and mounting; NaN, infinity and 0 are no returns; identical scans are fine;
+* what a sweep saw while the laser moved is carried to where it began, by the mean of the last motions;
 * a warped point is shared between beams by nearness, not nearness squared, which hid rotations below a beam;
 * the Cauchy scale comes from the residuals (95 % efficiency), not from mean|R_t|;
 * a level is linearised again while its motion is not small; blending constants are those of its authors' 2018 method;
@@ -24,6 +25,7 @@ from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import _pyramid_kernels, _range_flow_kernels
 
+_LONGEST_SWEEP = 1.5  # of the time between scans; a sweep that claims to last longer has a wrong time_increment
 _FEWEST_ROWS = 12  # fewer beams seen in both scans than this do not make a match
 
 
@@ -90,12 +92,12 @@ class ScanGeometry:
 
 @dataclass(frozen=True, eq=False)
 class RangeFlowState:
-    """The last scan's pyramid and the last motion of the laser (a twist per scan)."""
+    """The last scan's pyramid, the last motion of the laser (a twist per scan), and its running mean."""
 
     stamp: float
     geometry: ScanGeometry
     pyramid: Float[np.ndarray, " total"]
-    motion: Float[np.ndarray, "3"]
+    motion: Float[np.ndarray, "2 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +160,7 @@ def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeF
     ranges = np.empty(geometry.beams)
     _pyramid_kernels.clean(scan.ranges, float(scan.range_min), float(scan.range_max), geometry.flipped, ranges)
     _pyramid_kernels.build_pyramid(ranges, geometry.start, config.reach, pyramid)
-    return RangeFlowState(scan.stamp, geometry, pyramid, np.zeros(3))
+    return RangeFlowState(scan.stamp, geometry, pyramid, np.zeros((2, 3)))
 
 
 def _same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
@@ -167,6 +169,13 @@ def _same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
         and abs(scan.angle_min - geometry.angle_min) < 1e-6
         and abs(scan.angle_increment - geometry.angle_increment) < 1e-9
     )
+
+
+def _share(state: RangeFlowState, scan: LaserScan) -> float:
+    """Return which part of the motion between the two scans goes by from one beam to the next; 0 for an instant."""
+    period = scan.stamp - state.stamp
+    share = scan.time_increment / period if period > 0 else 0.0
+    return share if 0.0 < share * len(scan.ranges) <= _LONGEST_SWEEP else 0.0
 
 
 def step(
@@ -188,6 +197,7 @@ def step(
         float(scan.range_min),
         float(scan.range_max),
         g.flipped,
+        _share(state, scan),
         state.pyramid,
         pyramid,
         g.start,
@@ -202,7 +212,7 @@ def step(
     )
     if rows < _FEWEST_ROWS or not math.isfinite(pose.sum() + covariance.sum()):
         reason = f"only {rows} beams see something in both scans"
-        return RangeFlowState(scan.stamp, g, pyramid, np.zeros(3)), ScanMatch(scan.stamp, None, reason, rows)
+        return RangeFlowState(scan.stamp, g, pyramid, np.zeros((2, 3))), ScanMatch(scan.stamp, None, reason, rows)
     measurement = RelativePoseMeasurement(state.stamp, scan.stamp, pose, covariance, source="lidar")
     return RangeFlowState(scan.stamp, g, pyramid, motion), ScanMatch(scan.stamp, measurement, "", rows)
 
