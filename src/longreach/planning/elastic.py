@@ -36,10 +36,7 @@ def elastic(
     )
     m = len(price)
     G = sp.hstack([rows, sp.eye(m), -sp.eye(m)]).tocsr()  # low ≤ rows d + s⁺ - s⁻ ≤ high
-    P = _blocks(q.Z @ q.H @ q.Z.transpose(0, 2, 1)) + _FLOOR * sp.eye(N * n)
-    for cost in q.costs:
-        D = sp.kron(_matrix(cost.coefficients, N), sp.eye(n))
-        P = P + D.T @ sp.diags(np.broadcast_to(cost.curvature, (len(cost.coefficients), n)).ravel()) @ D
+    P = _cost(q)
     P = sp.block_diag([P, _FLOOR * sp.eye(2 * m)])
     lower = np.concatenate([np.maximum(q.lower[:, r:], -q.reach).ravel(), np.zeros(2 * m)])
     upper = np.concatenate([np.minimum(q.upper[:, r:], q.reach).ravel(), np.full(2 * m, np.inf)])
@@ -63,6 +60,15 @@ def elastic(
         tuple(part.reshape(-1, n) for part in parts[2:]),
         parts[0].reshape(N, e),
     )
+
+
+def _cost(q: Subproblem) -> sp.csc_matrix:
+    N, n, _ = q.Z.shape
+    P = _blocks(q.Z @ q.H @ q.Z.transpose(0, 2, 1)) + _FLOOR * sp.eye(N * n)
+    for cost in q.costs:
+        D = sp.kron(_matrix(cost.coefficients, N), sp.eye(n))
+        P = P + D.T @ sp.diags(np.broadcast_to(cost.curvature, (len(cost.coefficients), n)).ravel()) @ D
+    return P
 
 
 def _blocks(A: np.ndarray) -> sp.csc_matrix:
