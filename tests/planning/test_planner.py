@@ -102,6 +102,15 @@ def test_the_compiled_plan_is_the_one_of_any_tasks():
             np.testing.assert_allclose(a.linear, b.linear, atol=1e-9)
 
 
+def test_a_vector_of_the_callers_moves_what_the_tool_leaves_free_as_a_function_does():
+    still = lr.Reference(np.arange(3.0), tool=np.tile(THING.forward(HOME), (3, 1, 1)))
+    z = np.full(9, 0.1)
+    given, returned = (lr.plan(THING, still, HOME, free=free, iterations=5) for free in (z, lambda q: z))
+    np.testing.assert_array_equal(given.q, returned.q)
+    assert np.abs(given.q[-1] - HOME).max() > 0.1
+    assert tool_errors(given, still)[0].max() < 0.01
+
+
 def test_the_tool_alone_moves_the_base_too_and_a_posture_steers_the_rest():
     tool = lr.Reference(DUAL.stamps, tool=DUAL.tool)
     plan = lr.plan(THING, tool, HOME, below=[Posture(HOME)])
@@ -152,6 +161,10 @@ def test_an_arm_alone_follows_its_tool():
     [
         (THING, DUAL, HOME, {"method": "magic"}, "no method 'magic'; there is task-priority"),
         (THING, DUAL, HOME, {"iterations": 0}, "at least one iteration"),
+        (THING, DUAL, HOME, {"free": np.ones(3)}, "vector z must be 9 finite numbers"),
+        (THING, DUAL, HOME, {"free": np.full(9, np.nan)}, "vector z must be 9 finite numbers"),
+        (THING, DUAL, HOME, {"free": lambda q: np.ones(3)}, "vector z must be 9 finite numbers"),
+        (THING, DUAL, HOME, {"free": lambda q: q * np.nan}, "vector z must be 9 finite numbers"),
         (THING, DUAL, HOME[:6], {}, "start must be 9 finite numbers"),
         (THING, DUAL, np.full(9, np.inf), {}, "start must be 9 finite numbers"),
         (load_robot("ur10"), DUAL, HOME[3:], {}, "ur10 is bolted down"),

@@ -71,8 +71,8 @@ def plan_by_task_priority(
         stack = Stack.of(robot, _levels(reference, 0, above, below), config.limits)
     else:
         stack = _usual(robot, reference.tool is not None, reference.base is not None, config.limits)
-    if stack.compiled and not callable(free):
-        Q, sizes, _ = _compiled(stack, reference, reach, q, iterations, config, free)
+    if stack.compiled and free is None:
+        Q, sizes, _ = _compiled(stack, reference, reach, q, iterations, config)
     else:
         config = config.model_copy(update={"iterations": iterations})
         waypoints = [_levels(reference, k, above, below) for k in range(len(reference))]
@@ -111,7 +111,7 @@ def _levels(reference: Reference, k: int, above: Levels, below: Levels) -> list[
 
 def _compiled(
     stack: Stack, reference: Reference, reach: np.ndarray, q: np.ndarray, iterations: int,
-    config: TaskPriorityConfig, free: np.ndarray | None,
+    config: TaskPriorityConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return configurations, sizes of errors and iterations at all waypoints, by one call of a kernel."""
     robot, count = stack.robot, len(reference)
@@ -125,13 +125,13 @@ def _compiled(
             numbers = task.numbers()
             targets[:, i, : len(numbers)] = numbers
     kinds = np.array([task.kind for task in stack.tasks])
-    z = np.zeros(robot.dof) if free is None else free
+    problem = settings(config, stack, np.zeros(robot.dof))
     Q, counts = np.empty((count, robot.dof)), np.zeros(count, dtype=np.int64)
     sizes = np.empty((2, len(stack.tasks), count))
     Q[0] = q
     kernels.follow(
         robot.fixed, robot.prismatic, kinds, targets, stack.owner, stack.angular, reach, farthest(robot, config),
-        iterations, config.tolerance, config.least_step, settings(config, stack, z), q, Q, sizes, counts,
+        iterations, config.tolerance, config.least_step, problem, q, Q, sizes, counts,
     )  # fmt: skip
     return Q, sizes, counts
 

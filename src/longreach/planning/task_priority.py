@@ -105,7 +105,7 @@ def _iterate(
         if iteration == 0 and expects:
             kernels.expect(e, stack.starts, missed, expected)
         if callable(free):
-            problem[-1][:] = free(q)
+            problem[-1][:] = _checked_vector(len(q), free(q))
         kernels.room(iteration, iterations, q, last, speed, longest, low, high)
         kernels.advance(e, A, low, high, problem, memory, expected if iteration == 0 else none, dq)
         q += dq
@@ -122,6 +122,14 @@ def checked_start(robot: MobileManipulator, q0: Float[np.ndarray, " _"]) -> Floa
     if q.shape != (robot.dof,) or not np.all(np.isfinite(q)):
         raise PlanningError(f"The start must be {robot.dof} finite numbers, one for each joint of {robot.name}.")
     return q
+
+
+def _checked_vector(n: int, z: Float[np.ndarray, " _"]) -> Float[np.ndarray, " n"]:
+    """Return z as it is, or say that it is no step of a robot with n joints."""
+    vector = np.asarray(z, dtype=float)
+    if vector.shape != (n,) or not np.all(np.isfinite(vector)):
+        raise PlanningError(f"The vector z must be {n} finite numbers.")
+    return vector
 
 
 def solve_priority(
@@ -145,9 +153,7 @@ def solve_priority(
     config = config or TaskPriorityConfig()
     q = checked_start(robot, q0)
     stack = Stack.of(robot, tasks, config.limits)
-    z = np.zeros(robot.dof) if free is None or callable(free) else free
-    if len(z) != robot.dof or not np.all(np.isfinite(z)):
-        raise PlanningError(f"The vector z must be {robot.dof} finite numbers.")
+    z = np.zeros(robot.dof) if free is None or callable(free) else _checked_vector(robot.dof, free)
     memory = kernels.remember(len(stack.kept), robot.dof, len(stack.starts) - 1)
     unlimited = np.full(robot.dof, np.inf)
     problem = settings(config, stack, z)
@@ -175,7 +181,7 @@ def follow(
     Arguments: speeds: how far a joint may go from one waypoint to the next.
     """
     q, memory, problem = checked_start(robot, q0), None, None
-    z = np.zeros(robot.dof) if free is None or callable(free) else free
+    z = np.zeros(robot.dof) if free is None or callable(free) else _checked_vector(robot.dof, free)
     Q, sizes, counts = [], [], []
     for k, tasks in enumerate(waypoints):
         stack = Stack.of(robot, tasks, config.limits)
