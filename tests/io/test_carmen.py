@@ -162,6 +162,7 @@ def test_a_second_scanner_is_said(written):
         (flaser(1.0, [0, 0, 0], [1.0] * 6).replace("1.000000 nohost", "one nohost"), "line 1: 'one' is not a number"),
         ("hello world\n", "holds neither FLASER nor ODOM lines, so it is no CARMEN log; it has hello"),
         ("", "it has no lines at all"),
+        ("\x89MCAP\x00\n\x01\ufffd\n", "it has nothing that is text"),
         ("ODOM nan 2 3 0 0 0 5.0 host 5.0\n", "holds no line with finite numbers"),
         (flaser(976052857e9, [0, 0, 0], [1.0] * 6), "looks like nanoseconds; stamps are seconds"),
     ],

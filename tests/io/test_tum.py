@@ -99,6 +99,12 @@ def test_what_is_no_trajectory_is_said(path, text, sentence):
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["\ufeff# a mark\n0 1 2 3 0 0 0 1\n", "  # in\r\n\t0\t1  2 3 0 0 0 1 \r\n"])
+def test_marks_of_the_encoding_and_spaces_around_are_no_matter(path, text):
+    path.write_bytes(text.encode())
+    np.testing.assert_array_equal(read_tum(path).poses, [[1.0, 2.0, 0.0]])
+
+
 def test_a_file_that_is_not_there_is_said(path):
     with pytest.raises(RecordingError, match=r"a\.tum is not there"):
         read_tum(path)

@@ -63,7 +63,8 @@ def read_log(path: Path, progress: Callable[[float], None] | None = None) -> Car
         if progress is not None and line % 1000 == 0:
             progress(line)
     if not log.scans and not log.odometry:
-        found = ", ".join(sorted(log.others)[:5]) or "no lines at all"
+        readable = [word[:20] for word in sorted(log.others) if word.isascii() and word.isprintable()]
+        found = ", ".join(readable[:5]) or ("nothing that is text" if log.others else "no lines at all")
         raise RecordingError(f"{path} holds neither FLASER nor ODOM lines, so it is no CARMEN log; it has {found}.")
     return log
 

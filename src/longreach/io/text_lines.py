@@ -14,7 +14,7 @@ _OPENERS = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 
 
 def _open(path: Path) -> TextIOWrapper:
-    return _OPENERS.get(path.suffix, open)(path, "rt", encoding="utf-8", errors="replace")  # type: ignore[operator]
+    return _OPENERS.get(path.suffix, open)(path, "rt", encoding="utf-8-sig", errors="replace")  # type: ignore[operator]
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -26,7 +26,7 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     try:
         with _open(path) as lines:
             for number, line in enumerate(lines, 1):
-                if not line.isspace() and not line.startswith("#"):
+                if not line.isspace() and not line.lstrip().startswith("#"):
                     yield number, line
     except FileNotFoundError as error:
         raise RecordingError(f"{path} is not there.") from error
