@@ -32,8 +32,7 @@ def test_its_recording_gives_the_same_estimate_again(out, run, tmp_path):
     again = run("estimate", out / "recording.mcap", "--robot", "thing", "--out", tmp_path)
     assert again.code == 0, again.err
     first, second = ((folder / "fused.tum").read_text().splitlines()[-1].split() for folder in (out, tmp_path))
-    # ranges are written as 32-bit numbers
-    assert [float(v) for v in second] == pytest.approx([float(v) for v in first], abs=1e-3)
+    assert [float(v) for v in second] == pytest.approx([float(v) for v in first], abs=1e-6)
 
 
 def test_many_runs_give_means_and_spreads():

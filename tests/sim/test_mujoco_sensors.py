@@ -47,7 +47,7 @@ def test_a_sweep_at_rest_is_what_plain_ray_casting_sees(heading, rng):
     scan = scanner.read(0.01, 0.0, 0.001, np.tile(pose, (40, 1)), rng)
     c, s = np.cos(heading), np.sin(heading)
     laser = np.array([pose[0] + c * 0.39 - s * 0.05, pose[1] + s * 0.39 + c * 0.05, heading + 0.3])
-    assert_allclose(scan.ranges, room.cast(walls, laser[None], scan.angles)[0], atol=1e-9)
+    assert_allclose(scan.ranges, room.cast(walls, laser[None], scan.angles)[0], atol=2e-5)  # 32-bit angles
     assert len(scan.ranges) == 1081
 
 
@@ -72,7 +72,7 @@ def test_a_sweep_close_to_walls_and_among_many_of_them_misses_none(rng):
     scanner = Scanner.of(Lidar(), EXACT, walls)
     for pose in rng.uniform(-3.0, 3.0, (20, 3)):
         scan = scanner.read(0.0, 0.0, 0.001, np.tile(pose, (30, 1)), rng)
-        assert_allclose(scan.ranges, room.cast(walls, pose[None], scan.angles)[0], atol=1e-9)
+        assert_allclose(scan.ranges, room.cast(walls, pose[None], scan.angles)[0], atol=2e-5)  # 32-bit angles
 
 
 def test_an_empty_world_gives_no_returns(rng):

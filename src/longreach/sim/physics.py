@@ -196,24 +196,31 @@ class Simulation:
         motion, at, config, noise = self._motion, self._motion.at, self.config.sensors, self._noise
         for line, step, i in self._due("wheels"):
             angles, speeds = motion.qpos[i, at.wheels], motion.qvel[i, at.wheel_speeds]
-            line.send(read_wheels(step * STEP, angles, speeds, self._encoder), step * STEP)
+            line.send(read_wheels(_stamp(step * STEP), angles, speeds, self._encoder), step * STEP)
         if self._scanner is not None:
             first, sweep = self.stamp - (PAST - 1) * STEP, self._scanner.duration
             for line, _, _ in self._due("lidar", sweep):
-                line.send(self._scanner.read(line.due, first, STEP, motion.bases, noise["lidar"]), line.due + sweep)
+                line.send(
+                    self._scanner.read(_stamp(line.due), first, STEP, motion.bases, noise["lidar"]), line.due + sweep
+                )
         if self._imu is not None:
             for line, step, i in self._due("imu"):
                 mean, age = self._mean(line, i)
-                line.send(self._imu.read(step * STEP - age, mean[at.gyro], mean[at.force]), step * STEP)
+                line.send(self._imu.read(_stamp(step * STEP - age), mean[at.gyro], mean[at.force]), step * STEP)
         for line, step, i in self._due("joints"):
             values = [motion.qpos[i, at.joints], motion.qvel[i, at.joint_speeds], motion.sensed[i, at.efforts]]
-            reading = read_joints(step * STEP, at.joint_names, np.stack(values), config.joints, noise["joints"])
+            reading = read_joints(_stamp(step * STEP), at.joint_names, np.stack(values), config.joints, noise["joints"])
             line.send(reading, step * STEP)
         if self._load is not None:
             for line, step, i in self._due("wrench"):
                 mean, age = self._mean(line, i)
                 held, weight = mean[self._load.held], -GRAVITY * self._load.mass * mean[self._load.up]
-                stamp, centre = step * STEP - age, self._load.centre
+                stamp, centre = _stamp(step * STEP - age), self._load.centre
                 line.send(read_wrench(stamp, held, weight, centre, config.wrench, noise["wrench"]), step * STEP)
         for _, step, i in self._due("truth", STEP):
             self._glimpses.append((step - 1, motion.glimpse(i)))
+
+
+def _stamp(seconds: float) -> float:
+    """Return a stamp in whole nanoseconds, as a message holds it: a replay sees the same."""
+    return round(seconds, 9)

@@ -156,9 +156,9 @@ class Scanner:
         nearest, farthest = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf
         ranges[rng.random(len(ranges)) < self.timing.lost_beams] = math.inf
         ranges[(ranges < nearest) | (ranges > farthest)] = math.inf
-        increment = float(self.angles[1] - self.angles[0])
-        frame, start = self.lidar.frame or "laser", float(self.angles[0])
-        return LaserScan(stamp, ranges, start, increment, nearest, farthest, self.beam_time, frame)
+        numbers = (self.angles[0], self.angles[1] - self.angles[0], nearest, farthest, self.beam_time)
+        single = (float(np.float32(number)) for number in numbers)  # as a message holds them: a replay sees the same
+        return LaserScan(stamp, ranges.astype(np.float32), *single, self.lidar.frame or "laser")
 
 
 @dataclass
