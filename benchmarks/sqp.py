@@ -1,6 +1,6 @@
 """Problem (4.34) at one waypoint and over whole trajectories, beside SLSQP, and casadi with IPOPT and fatrop.
 
-    OMP_NUM_THREADS=1 python benchmarks/sqp.py --bench FOLDER [--scenes 50] [--slsqp 10]
+    OMP_NUM_THREADS=1 python benchmarks/sqp.py --bench FOLDER [--scenes 50] [--slsqp 10] [--ipopt-scenes 10]
 
 FOLDER holds dual.npz with the tool's poses T (n, 4, 4), the base's B (n, 3) and the start `home`; the tool is the
 flange. casadi is not installed with longreach: make an environment for this benchmark, `pip install . casadi`; without
@@ -16,7 +16,7 @@ step above 0.025 rad; 2000 waypoints at most 12 times that.
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -121,8 +121,15 @@ def symbolic_terms(ca: Any) -> Any:
     return ca.Function("terms", [q], [T[:3, :], -ca.sum1(ca.log(ca.diag(L)))])
 
 
-def casadi_trajectory(ref: lr.Reference, start: np.ndarray, solver: str, weight: float) -> tuple[np.ndarray, float]:
-    """Return the answer for all waypoints with -log M, and the solver's time [s]; states q and controls Δq."""
+def casadi_trajectory(
+    ref: lr.Reference, start: np.ndarray, solver: str, weight: float,
+    room: tuple[float, float, float] = (0.01, 0.1, STEP), discs: Sequence[Obstacle] = (),
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Return the answer for all waypoints with -log M, and the solver's time [s]; states q and controls Δq.
+
+    room: the base's radius, its heading's band, and the largest step; discs: obstacles that are round seen from above.
+    """
+    radius, band, step = room
     import casadi as ca
 
     assert ref.base is not None
@@ -149,10 +156,14 @@ def casadi_trajectory(ref: lr.Reference, start: np.ndarray, solver: str, weight:
         R = ca.DM(ref.tool[k, :3, :3]).T @ pose[:, :3]
         skew = 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
         add(ca.vertcat(pose[:, 3] - ca.DM(ref.tool[k, :3, 3]), skew), [0.0] * 6, [0.0] * 6)
-        add(ca.sumsqr(Q[k][:2] - ca.DM(ref.base[k, :2])) / 0.02, [-1e9], [0.005])
-        add(Q[k][2] - ref.base[k, 2], [-0.1], [0.1])
+        add(ca.sumsqr(Q[k][:2] - ca.DM(ref.base[k, :2])) / (2.0 * radius), [-1e9], [0.5 * radius])
+        add(Q[k][2] - ref.base[k, 2], [-band], [band])
+        for disc in discs:
+            centre = disc.centre if isinstance(disc, Disc) else disc.a[:2]  # type: ignore[union-attr]
+            distance = ca.sqrt(ca.sumsqr(Q[k][:2] - ca.DM(centre)) + 1e-12)
+            add(distance - BASE - disc.radius, [0.0], [1e9])  # type: ignore[union-attr]
         if k < N - 1:
-            add(U[k], [-STEP] * 9, [STEP] * 9)
+            add(U[k], [-step] * 9, [step] * 9)
     options: dict[str, Any] = {"expand": True, "print_time": False}
     if solver == "ipopt":
         options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-7}
@@ -209,11 +220,40 @@ def scenes(ref: lr.Reference, count: int) -> None:
     )
 
 
+def scenes_beside_ipopt(ref: lr.Reference, count: int) -> None:
+    """Print the same for scenes of round obstacles and -log M, beside IPOPT from the same start."""
+    assert ref.base is not None
+    q0 = start_of(ref)
+    steps = np.diff(q0, axis=0)
+    weight, step = 6.6e-4 / float(np.sum(steps**2, axis=1).mean()), max(STEP, 1.5 * np.abs(steps).max())
+    times, passed, seed = np.zeros((2, count)), np.zeros((2, 2), dtype=int), 0
+    for i in range(count):
+        while any(isinstance(o, Box) for o in scene(np.random.default_rng(seed), ref.base)):
+            seed += 1
+        obstacles = scene(np.random.default_rng(seed), ref.base)
+        seed += 1
+        term = base_clearance(BASE, obstacles)
+        began = time.perf_counter()
+        ours = plan(ref, problem=lr.thesis_problem(0.3, 0.5, objective="neg_log_m").adding(term)).q
+        times[0, i] = time.perf_counter() - began
+        theirs, times[1, i] = casadi_trajectory(ref, q0, "ipopt", weight, (0.3, 0.5, step), obstacles)
+        for j, q in enumerate((ours, theirs)):
+            held = np.abs(THING.forward(q) - ref.tool).max() <= 1e-6
+            for finer, least in ((1, -1e-6), (50, 0.0)):
+                passed[j, int(finer > 1)] += held and least_clearance(THING, q, term, finer=finer)[0] >= least
+    for name, number, row in zip(("longreach", "casadi ipopt"), passed, times, strict=True):
+        print(
+            f"{count} scenes of round obstacles, {name}: {number[0]} without touching at waypoints, "
+            f"{number[1]} between them too, median {np.median(row):.2f} s"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bench", type=Path, required=True)
     parser.add_argument("--scenes", type=int, default=50)
     parser.add_argument("--slsqp", type=int, default=10, help="how many waypoints SLSQP gets")
+    parser.add_argument("--ipopt-scenes", type=int, default=10)
     options = parser.parse_args()
     dual = np.load(options.bench / "dual.npz")
     HOME[:] = dual["home"]
@@ -247,7 +287,10 @@ def main() -> None:
     long = lr.Reference(0.01 * np.arange(10 * n), T, CubicSpline(np.linspace(0, 1, n), dual["B"])(u))
     whole, seconds = timed(lambda: plan(long), runs=3)
     judge(f"longreach, {10 * n} waypoints", seconds, whole.q, long, start_of(long), f"{seconds / shorter:.1f} times")
-    scenes(lr.Reference(ref.stamps[::2], dual["T"][::2], dual["B"][::2]), options.scenes)
+    half = lr.Reference(ref.stamps[::2], dual["T"][::2], dual["B"][::2])
+    if find_spec("casadi"):
+        scenes_beside_ipopt(half, options.ipopt_scenes)
+    scenes(half, options.scenes)
 
 
 if __name__ == "__main__":

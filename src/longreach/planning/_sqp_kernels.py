@@ -57,6 +57,10 @@ def eliminate(A, c, Q, R, d, independent):
     Q span what the equations leave free. Source: Golub & Van Loan, "Matrix Computations", section 5.2.
     """
     m, n = A.shape[1], A.shape[2]
+    if m > n:
+        independent[:] = False
+        Q[:], R[:], d[:] = 0.0, 0.0, 0.0
+        return
     W, y = np.empty((n, m)), np.empty(m)
     for w in range(len(A)):
         for i in range(n):

@@ -89,7 +89,7 @@ def start(program: Program, x0: Float[np.ndarray, "B N n"], config: SqpConfig) -
     x = np.clip(x0, program.lower, program.upper)
     B, N, n = x.shape
     m = program.layout.lower.shape[1]
-    p = n - int(program.layout.equation.sum())
+    p = max(n - int(program.layout.equation.sum()), 0)
     e = program.evaluate(x, np.arange(B))
     no = np.zeros(B, dtype=bool)
     return Run(
