@@ -181,7 +181,7 @@ def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
 
 
 def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
-    exact = float(np.clip(1e-4 * run.kkt[b], EXACT, 1e-7))  # far from a solution there is no use in digits
+    exact = float(np.clip(1e-6 * run.kkt[b], EXACT, 1e-8))  # far from a solution there is no use in digits
     limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
     parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
     return Subproblem(*parts, run.trust[b], exact, (*run.program.costs, *run.held), limits)
