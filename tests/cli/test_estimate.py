@@ -299,3 +299,4 @@ def test_a_file_where_the_results_should_go_is_said(run, bags, tmp_path):
     assert (answer.code, answer.out) == (2, "")
     assert "out is a file; give a folder for the results." in answer.sentence
     assert (tmp_path / "out").read_text() == "mine"
+    assert answer.err.strip() == answer.sentence  # said before any work

@@ -6,7 +6,7 @@ import stat
 import pytest
 
 from longreach.errors import LongreachError
-from longreach.io.whole_files import whole_file, whole_folder, write_text
+from longreach.io.whole_files import check_folder, whole_file, whole_folder, write_text
 
 
 def everything_in(folder):
@@ -92,3 +92,13 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path):
         write_text(tmp_path / "file" / "a.txt", "text")
     with pytest.raises(LongreachError, match=r"out cannot be written: "), whole_folder(tmp_path / "file" / "out"):
         pass
+
+
+def test_a_folder_that_cannot_be_made_is_said_beforehand(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(LongreachError, match=r"nothing can be made in .*file"):
+        check_folder(tmp_path / "file" / "out")
+    with pytest.raises(LongreachError, match="file is a file; give a folder"):
+        check_folder(tmp_path / "file")
+    check_folder(tmp_path / "new" / "deeper")
+    assert everything_in(tmp_path) == ["file"]

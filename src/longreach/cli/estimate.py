@@ -25,7 +25,9 @@ def command(
     from longreach.app.inputs import open_run
     from longreach.app.outputs import write_estimate
     from longreach.app.warmup import warm_up
+    from longreach.io.whole_files import check_folder
 
+    check_folder(out)
     with shown_progress() as progress:
         run = open_run(
             recording,

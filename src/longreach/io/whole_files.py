@@ -33,8 +33,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     Other files that are in the folder already stay.
     """
     with _explained(folder):
-        if folder.exists() and not folder.is_dir():
-            raise LongreachError(f"{folder} is a file; give a folder for the results.")
+        check_folder(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
@@ -49,6 +48,19 @@ def whole_folder(folder: Path) -> Iterator[Path]:
                 os.replace(source, target)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Say before long work that its results could not be written into a folder, as far as that can be seen.
+
+    Raises:
+        LongreachError: it is a file, or nothing can be made where it should be.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise LongreachError(f"{folder} is a file; give a folder for the results.")
+    nearest = next(parent for parent in folder.absolute().parents if parent.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise LongreachError(f"{folder} cannot be written: nothing can be made in {nearest}.")
 
 
 def write_text(path: Path, text: str) -> None:
