@@ -36,6 +36,13 @@ def test_the_dual_trajectory_is_planned_and_written(run, tmp_path, thing_robot):
     assert "The tool" in answer.out
 
 
+def test_a_base_without_an_arm_is_planned_and_has_no_manipulability(run, tmp_path):
+    answer = run("plan", "dual-trajectory", "--robot", "husky", "--waypoints", 20, "--out", tmp_path)
+    assert answer.code == 0, answer.err
+    assert "manipulability_mean" not in json.loads((tmp_path / "metrics.json").read_text())["plan"]
+    assert not (tmp_path / "figures" / "manipulability.png").exists()
+
+
 def test_the_mcap_holds_one_joint_trajectory(run, tmp_path):
     assert run("plan", "dual-trajectory", "--robot", "thing", "--waypoints", 20, "--out", tmp_path).code == 0
     with AnyReader([tmp_path / "trajectory.mcap"]) as bag:

@@ -28,6 +28,7 @@ from longreach.trajectory import PoseTrajectory
 
 Progress = Callable[[str, float], None]
 DUAL = "dual-trajectory"
+_SIX = 6  # fewer joints cannot turn and move the tool in all directions: they have no manipulability
 
 
 class PlanConfig(BaseModel):
@@ -99,11 +100,12 @@ def _metrics(robot: MobileManipulator, trajectory: ConfigurationTrajectory) -> d
         found[f"{report.name}_unmet"] = metric(int(report.unmet.sum()), "")
     steps = np.abs(np.diff(trajectory.q, axis=0))
     share = np.abs(trajectory.velocities) / robot.limits.velocity
-    m, _ = manipulability(robot, trajectory.q)
     found["joint_step_max"] = metric(float(steps.max(initial=0.0)), "rad or m")
     found["speed_share_max"] = metric(100 * float(share.max()), "%")
-    found["manipulability_mean"] = metric(float(m.mean()), "m³")
-    found["manipulability_min"] = metric(float(m.min()), "m³")
+    if robot.dof >= _SIX:
+        m, _ = manipulability(robot, trajectory.q)
+        found["manipulability_mean"] = metric(float(m.mean()), "m³")
+        found["manipulability_min"] = metric(float(m.min()), "m³")
     return found
 
 
@@ -139,13 +141,14 @@ def _figures(planned: Planned, tool: np.ndarray, base: np.ndarray) -> dict[str, 
     tool_reference = None if reference.tool is None else reference.tool[:, :2, 3]
     base_reference = None if reference.base is None else reference.base[:, :2]
     own = base[:, :2] if base.shape[1] == 3 else None
-    m, _ = manipulability(robot, trajectory.q)
     drawn: dict[str, Callable[[], Figure]] = {
         "paths": lambda: plan_figures.plan_paths(tool[:, :2, 3], tool_reference, own, base_reference),
         "joints": lambda: plan_figures.joints(trajectory, robot.prismatic.tolist()),
         "velocities": lambda: plan_figures.velocities(trajectory, robot.limits.velocity),
-        "manipulability": lambda: plan_figures.manipulability(trajectory.stamps, {"plan": m}),
     }
+    if robot.dof >= _SIX:
+        m, _ = manipulability(robot, trajectory.q)
+        drawn["manipulability"] = lambda: plan_figures.manipulability(trajectory.stamps, {"plan": m})
     if planned.followed.reports:
         drawn["task_errors"] = lambda: plan_figures.task_errors(planned.followed.stamps, planned.followed.reports)
     return drawn
