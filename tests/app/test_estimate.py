@@ -259,6 +259,17 @@ def test_beams_of_changing_count_cost_a_match_a_change(short, thing):
     assert value(result, "fused", "ate_rmse") < 0.05
 
 
+def test_one_scan_of_hardly_any_beams_is_passed_over_and_said(short, thing):
+    scans = list(short.scans)
+    scans[9] = replace(scans[9], ranges=scans[9].ranges[:1])
+    result = estimate(short.replace(scans=tuple(scans)), thing)
+    reason = "the scan has 1 beams, where at least 8 are needed"
+    assert f"1 of {len(scans) - 1} scans gave no match; the first because {reason}." in result.remarks
+    around = [m for m in result.lidar_measurements if m.stamp == scans[10].stamp]
+    assert [m.stamp_reference for m in around] == [scans[8].stamp]
+    assert value(result, "fused", "ate_rmse") < 0.05
+
+
 def test_too_few_beams_are_refused(short, thing):
     scans = tuple(replace(s, ranges=s.ranges[:7]) for s in short.scans)
     with pytest.raises(EstimationError, match="A scan has 7 beams; LIDAR odometry needs at least 8"):

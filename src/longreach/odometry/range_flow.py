@@ -26,6 +26,7 @@ from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import _pyramid_kernels, _range_flow_kernels
 
 _LONGEST_SWEEP = 1.5  # of the time between scans; a sweep that claims to last longer has a wrong time_increment
+_FEWEST_BEAMS = 8  # of a scan
 _FEWEST_ROWS = 12  # fewer beams seen in both scans than this do not make a match
 
 
@@ -129,8 +130,8 @@ def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], level
     if tilt > 15.0:
         raise EstimationError(f"The LIDAR is tilted by {tilt:.0f}° against the floor; planar odometry bears up to 15°.")
     beams = len(scan.ranges)
-    if beams < 8:
-        raise EstimationError(f"A scan has {beams} beams; LIDAR odometry needs at least 8.")
+    if beams < _FEWEST_BEAMS:
+        raise EstimationError(f"A scan has {beams} beams; LIDAR odometry needs at least {_FEWEST_BEAMS}.")
     sense = 1.0 if T_base_laser[2, 2] > 0 else -1.0
     first, increment = sense * scan.angle_min, sense * scan.angle_increment
     flipped = bool(increment < 0)
@@ -184,8 +185,12 @@ def step(
     """Match a scan against the last one.
 
     Returns the new state and the match: the pose of the base at this scan seen from the base at the last one, with the
-    covariance (3, 3) of ξ = log(pose⁻¹ · truth). A scan of another kind (number of beams, angles) starts anew.
+    covariance (3, 3) of ξ = log(pose⁻¹ · truth). A scan of another kind (number of beams, angles) starts anew, one
+    of fewer than 8 beams is passed over.
     """
+    if len(scan.ranges) < _FEWEST_BEAMS:
+        reason = f"the scan has {len(scan.ranges)} beams, where at least {_FEWEST_BEAMS} are needed"
+        return state, ScanMatch(scan.stamp, None, reason, 0)
     if not _same_kind(scan, state.geometry):
         reason = f"the scan has {len(scan.ranges)} beams and other angles than the last one"
         return init(scan, T_base_laser, config), ScanMatch(scan.stamp, None, reason, 0)
