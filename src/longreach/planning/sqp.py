@@ -21,7 +21,7 @@ from longreach.planning.sqp_rounds import attempt
 from longreach.planning.subproblem import Difference
 
 _TRIAL = 2  # rounds before rivals are compared
-_CLEARLY = 2e-3  # of the merit: what is behind by that much will not win
+_CLEARLY = 1e-3  # of the merit: what is behind by that much will not win
 
 
 class SqpConfig(BaseModel):
@@ -33,7 +33,7 @@ class SqpConfig(BaseModel):
     shrink: float = Field(default=0.1, gt=0, lt=1)  # τ⁻, of the trust region after a step that is not
     expand: float = Field(default=1.5, ge=1)  # τ⁺, of the trust region after a step that is
     trust: float = Field(default=0.1, gt=0)  # δ [rad, m] at first: the farthest one joint goes in one iteration
-    least_trust: float = Field(default=1e-6, gt=0)  # δ below which nothing more is to be had; TrajOpt's is 1e-4
+    least_trust: float = Field(default=1e-8, gt=0)  # δ below which nothing more is to be had; TrajOpt's is 1e-4
     most_trust: float = Field(default=0.5, gt=0)  # δ at most
     penalty: float = Field(default=10.0, gt=0)  # μ of each constraint at first
     raise_by: float = Field(default=10.0, gt=1)  # k, of the penalties of constraints that are still violated

@@ -114,8 +114,8 @@ def _take_multipliers(run: Run, todo: np.ndarray, steps: Steps) -> None:
 
 
 def _certify(run: Run, todo: np.ndarray, good: np.ndarray, tiny: np.ndarray, gave_way: np.ndarray) -> None:
-    """Find the KKT residuals of the steps taken; call solved what is, and raise penalties where nothing moves."""
-    for estimate, mask in ((True, good & ~gave_way), (False, good & gave_way)):
+    """Find the KKT residuals where the problems are now, with the newest multipliers; call solved what is, and raise penalties where nothing moves."""
+    for estimate, mask in ((True, ~gave_way), (False, gave_way)):
         if mask.any():
             run.kkt[todo[mask]] = _residual(run, todo[mask], estimate)
     run.fresh[todo] = ~good | (run.kkt[todo] > _NEAR)
