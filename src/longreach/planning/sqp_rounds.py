@@ -114,7 +114,10 @@ def _take_multipliers(run: Run, todo: np.ndarray, steps: Steps) -> None:
 
 
 def _certify(run: Run, todo: np.ndarray, good: np.ndarray, tiny: np.ndarray, gave_way: np.ndarray) -> None:
-    """Find the KKT residuals where the problems are now, with the newest multipliers; call solved what is, and raise penalties where nothing moves."""
+    """Find the KKT residuals where the problems are now, with the newest multipliers, and what follows from them.
+
+    Solved is what satisfies the conditions; where nothing moves and something is violated, penalties rise.
+    """
     for estimate, mask in ((True, ~gave_way), (False, gave_way)):
         if mask.any():
             run.kkt[todo[mask]] = _residual(run, todo[mask], estimate)
