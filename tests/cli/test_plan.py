@@ -33,7 +33,7 @@ def test_the_dual_trajectory_is_planned_and_written(run, tmp_path, thing_robot):
     assert {p.stem for p in (tmp_path / "figures").iterdir()} == {
         "paths", "joints", "velocities", "manipulability", "task_errors",
     }  # fmt: skip
-    assert "The tool" in answer.out
+    assert "Met everywhere: tool." in answer.out
 
 
 def test_a_base_without_an_arm_is_planned_and_has_no_manipulability(run, tmp_path):

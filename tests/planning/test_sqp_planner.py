@@ -36,7 +36,7 @@ def test_a_plan_comes_with_its_certificate_and_reports():
     np.testing.assert_array_equal(trajectory.q, trajectory.solution.q)
     assert {report.name for report in trajectory.reports} == {"tool pose", "base disc", "base heading", "step"}
     assert not any(report.unmet.any() for report in trajectory.reports)
-    assert trajectory.reports[0].reason == "The tool pose is met everywhere."
+    assert trajectory.reports[0].reason == "Met everywhere: tool pose."
 
 
 def test_waypoints_by_themselves_are_no_worse_but_jump():

@@ -79,6 +79,16 @@ def test_ranges_are_those_of_the_room_seen_from_where_the_laser_is():
         assert_allclose(scan.ranges, expected, atol=1e-9)
 
 
+def test_a_scanner_upside_down_sees_the_room_mirrored():
+    def scans(mount):
+        robot = ROBOT.model_copy(update={"lidar": ROBOT.lidar.model_copy(update={"mount": mount})})
+        return make_recording(robot, duration=2.0, lidar_rate=5.0, beams=91, config=FAULTLESS).scans
+
+    upright, flipped = scans(Mount(x=0.3932, z=0.233)), scans(Mount(x=0.3932, z=0.233, roll=np.pi))
+    for a, b in zip(upright, flipped, strict=True):
+        assert_allclose(b.ranges, a.ranges[::-1], atol=1e-9)
+
+
 def test_range_noise_has_the_deviation_asked_for():
     noisy, exact = make(beams=541), make(config=SimulationConfig(range_deviation=0.0), beams=541)
     errors = np.concatenate([a.returns - b.returns for a, b in zip(noisy.scans, exact.scans, strict=True)])

@@ -10,8 +10,9 @@ _AT = 1e-6  # [m, rad] from a bound that counts as on it
 
 
 def size_text(linear: float, angular: float) -> str:
-    """Return an error as text, in millimetres and degrees."""
-    parts = [f"{1e3 * linear:.3g} mm"] * (linear > 0) + [f"{np.degrees(angular):.3g}°"] * (angular > 0)
+    """Return an error as text, in millimetres, or metres from one on, and degrees."""
+    length = f"{linear:.3g} m" if linear >= 1.0 else f"{1e3 * linear:.3g} mm"
+    parts = [length] * (linear > 0) + [f"{np.degrees(angular):.3g}°"] * (angular > 0)
     return " and ".join(parts) or "nothing"
 
 

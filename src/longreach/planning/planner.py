@@ -141,7 +141,7 @@ def _report(name: str, sizes: np.ndarray, met: float, why_at: Callable[[int], st
     size = np.hypot(linear, angular)
     worst = int(np.argmax(size))
     if size[worst] <= met:
-        return TaskReport(name, linear, angular, np.zeros(len(size), dtype=bool), f"The {name} is met everywhere.")
+        return TaskReport(name, linear, angular, np.zeros(len(size), dtype=bool), f"Met everywhere: {name}.")
     unmet = size > met
     reason = f"At waypoint {worst}, the worst of {int(unmet.sum())}: {why_at(worst)}"
     return TaskReport(name, linear, angular, unmet, reason)

@@ -250,9 +250,11 @@ def _report(
     """Say what became of one constraint."""
     N = len(solution.q)
     size = np.zeros((N, 2))
-    tool = any(isinstance(term, ToolPose) and term.name == name for term in problem.constraints)
-    size[: len(off), 0] = np.linalg.norm(off[:, :3], axis=1) if tool else off.max(axis=1, initial=0.0)
-    size[: len(off), 1] = np.linalg.norm(off[:, 3:], axis=1) if tool else 0.0
+    term = next((term for term in problem.constraints if term.name == name), None)
+    if isinstance(term, ToolPose):
+        size[:] = np.column_stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)])
+    else:
+        size[: len(off), int(isinstance(term, BaseHeading))] = off.max(axis=1, initial=0.0)
     unmet = off.max(axis=1, initial=0.0) > met
-    reason = solution.status if unmet.any() else f"The {name} is met everywhere."
+    reason = solution.status if unmet.any() else f"Met everywhere: {name}."
     return TaskReport(name, size[:, 0], size[:, 1], np.concatenate([unmet, np.zeros(N - len(off), dtype=bool)]), reason)

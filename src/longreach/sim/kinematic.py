@@ -141,8 +141,10 @@ def _scans(
     increment = -2.0 * first / (beams - 1)  # as far to the left as to the right
     nearest, farthest = lidar.range_min or 0.0, lidar.range_max or np.inf
     stamps = _stamps(drive.duration, rate)
-    lasers = se2.compose(move(drive, stamps).poses, se2.from_se3((lidar.mount or Mount()).matrix()))
-    ranges = cast(room_of(drive), lasers, first + increment * np.arange(beams))
+    T = (lidar.mount or Mount()).matrix()
+    sense = 1.0 if T[2, 2] > 0 else -1.0  # upside down, what is to its left is to the base's right
+    lasers = se2.compose(move(drive, stamps).poses, se2.from_se3(T))
+    ranges = cast(room_of(drive), lasers, sense * (first + increment * np.arange(beams)))
     ranges += config.range_deviation * rng.standard_normal(ranges.shape)
     ranges[(ranges < nearest) | (ranges > farthest)] = np.inf
     frame = lidar.frame or "laser"
