@@ -98,3 +98,24 @@ def test_what_is_wrong_is_said_in_one_sentence(run, tmp_path, arguments, words):
     assert answer.code == 2
     assert words in answer.sentence
     assert not (tmp_path / "out").exists()
+
+
+def test_an_optimised_plan_is_drawn_beside_the_one_that_is_not(run, tmp_path):
+    answer = run("plan", "dual-trajectory", "--robot", "thing", "--method", "sqp", "--waypoints", 20, "--out", tmp_path)
+    assert answer.code == 0, answer.err
+    assert {"optimised", "convergence"} <= {p.stem for p in (tmp_path / "figures").iterdir()}
+    assert "Met everywhere: tool pose." in answer.out
+
+
+def test_a_problem_comes_from_yaml(run, tmp_path):
+    (tmp_path / "problem.yaml").write_text(
+        "costs: [{kind: manipulability, objective: neg_log_m}]\n"
+        "constraints: [{kind: tool_pose}, {kind: base_disc, radius: 0.05}, {kind: base_heading, band: 0.2}]\n"
+    )
+    arguments = ("plan", "dual-trajectory", "--robot", "thing", "--method", "sqp", "--waypoints", 10, "--alone")
+    answer = run(*arguments, "--problem", tmp_path / "problem.yaml", "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    (tmp_path / "problem.yaml").write_text("constraints: [{kind: tool_poes}]\n")
+    answer = run(*arguments, "--problem", tmp_path / "problem.yaml", "--out", tmp_path / "other")
+    assert answer.code == 2
+    assert "tool_poes" in answer.sentence

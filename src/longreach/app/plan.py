@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.results import write_results
 from longreach.configuration import ConfigurationTrajectory
-from longreach.evaluation import plan_figures
+from longreach.evaluation import plan_figures, planning_figures
 from longreach.evaluation.tables import Metric, metric
 from longreach.io.config import to_yaml
 from longreach.io.plan_files import write_trajectory_csv, write_trajectory_mcap
@@ -19,7 +19,11 @@ from longreach.io.reference import read_reference
 from longreach.io.tum import write_spatial_tum, write_tum
 from longreach.io.whole_files import whole_folder
 from longreach.planning.planner import plan
+from longreach.planning.problem import Problem
 from longreach.planning.reference import dual_trajectory
+from longreach.planning.sqp_solution import OptimisedTrajectory
+from longreach.planning.terms_pose import BaseDisc, BaseHeading
+from longreach.planning.thesis_problem import thesis_problem
 from longreach.planning.timing import retime
 from longreach.reference import Reference
 from longreach.robot.manipulability import manipulability
@@ -37,7 +41,10 @@ class PlanConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: str = Field(default="task-priority", description="The planner.")
-    iterations: int = Field(default=20, ge=1, description="At most so many a waypoint [1].")
+    iterations: int | None = Field(
+        default=None, ge=1, description="At most so many [1]; null: 20 a waypoint by task priority, 60 by sqp."
+    )
+    coupled: bool = Field(default=True, description="By sqp: all waypoints at once, or each by itself.")
     length: float = Field(default=2.0, gt=0, description="Of the dual trajectory's line [m]; the thesis' 2 m.")
     amplitude: float = Field(default=0.2, ge=0, description="Of its base's sinusoid [m]; the thesis' 0.2 m.")
     waypoints: int = Field(default=200, ge=2, description="Of the dual trajectory [1].")
@@ -59,13 +66,14 @@ class Planned:
     trajectory: ConfigurationTrajectory
     metrics: dict[str, dict[str, Metric]]
     remarks: tuple[str, ...]
+    problem: Problem | None = None
 
 
 def make_plan(
     robot: MobileManipulator, what: str | Path, config: PlanConfig | None = None, progress: Progress | None = None,
-    **options: Any,
+    problem: Problem | None = None, **options: Any,
 ) -> Planned:  # fmt: skip
-    """Plan `dual-trajectory`, from the robot's home, or the reference in a file, from home or the nearest to it."""
+    """Plan `dual-trajectory`, or the reference in a file, from the robot's home; problem: of sqp, (4.34) where None."""
     config = config or PlanConfig()
     tell = progress or (lambda stage, fraction: None)
     q0 = robot.home
@@ -81,14 +89,18 @@ def make_plan(
     else:
         reference = read_reference(Path(what))
     tell("planning", 0.0)
-    followed = plan(robot, reference, q0, method=config.method, iterations=config.iterations, **options)
+    by_sqp = config.method == "sqp"
+    if by_sqp:
+        options = {"coupled": config.coupled, "problem": problem or thesis_problem()} | options
+    iterations = config.iterations or (60 if by_sqp else 20)
+    followed = plan(robot, reference, q0, method=config.method, iterations=iterations, **options)
     trajectory, metrics = followed, {"plan": _metrics(robot, followed)}
     remarks = tuple(report.reason for report in followed.reports)
     if config.retime:
         tell("timing", 0.0)
         trajectory = retime(followed, robot.limits.velocity, robot.limits.acceleration)
         metrics["retimed"] = _metrics(robot, trajectory)
-    return Planned(robot, reference, config, followed, trajectory, metrics, remarks)
+    return Planned(robot, reference, config, followed, trajectory, metrics, remarks, options.get("problem"))
 
 
 def _metrics(robot: MobileManipulator, trajectory: ConfigurationTrajectory) -> dict[str, Metric]:
@@ -149,6 +161,26 @@ def _figures(planned: Planned, tool: np.ndarray, base: np.ndarray) -> dict[str, 
     if robot.dof >= _SIX:
         m, _ = manipulability(robot, trajectory.q)
         drawn["manipulability"] = lambda: plan_figures.manipulability(trajectory.stamps, {"plan": m})
+    if isinstance(planned.followed, OptimisedTrajectory) and tool_reference is not None and base_reference is not None:
+        drawn |= _optimised(planned, planned.followed)
     if planned.followed.reports:
         drawn["task_errors"] = lambda: plan_figures.task_errors(planned.followed.stamps, planned.followed.reports)
     return drawn
+
+
+def _optimised(planned: Planned, optimised: OptimisedTrajectory) -> dict[str, Callable[[], Figure]]:
+    """Return how to draw figure 6.5, beside the plan that optimises nothing, and how the optimisation converged."""
+    robot, reference = planned.robot, planned.reference
+    base = reference.base
+    assert base is not None
+    plans = {"optimised": optimised.q, "not optimised": plan(robot, reference, robot.home).q}
+    measures = {name: manipulability(robot, q)[0] for name, q in plans.items()}
+    bases = {name: q[:, robot.base] for name, q in plans.items()}
+    tools = {name: robot.forward(q)[:, :3, 3] for name, q in plans.items()}
+    constraints = planned.problem.constraints if planned.problem is not None else ()
+    radius = max([0.0, *(c.radius for c in constraints if isinstance(c, BaseDisc))])
+    band = max([0.0, *(c.band for c in constraints if isinstance(c, BaseHeading))])
+    return {
+        "optimised": lambda: planning_figures.optimised_against_not(measures, bases, tools, base, radius, band),
+        "convergence": lambda: planning_figures.convergence(optimised.solution.history),
+    }

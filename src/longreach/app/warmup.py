@@ -69,8 +69,16 @@ def _task_priority() -> None:
     manipulability(thing, np.stack([thing.home, thing.home]))
 
 
+def _sqp() -> None:
+    thing = load_robot("thing")
+    reference = dual_trajectory(thing.forward(thing.home), waypoints=5)
+    for coupled in (True, False):
+        plan(thing, reference, thing.home, method="sqp", coupled=coupled)
+
+
 ROOMS: Mapping[str, Callable[[], None]] = {
     "estimation": _estimation,
     "kinematics": _kinematics,
     "task priority": _task_priority,
+    "sqp": _sqp,
 }

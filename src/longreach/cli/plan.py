@@ -14,7 +14,9 @@ def command(
     out: Path = typer.Option(..., help="Folder for the results; made if it is not there."),
     method: str = typer.Option("task-priority", help="The planner: task-priority or sqp."),
     tool: str | None = typer.Option(None, help="The frame to move (default: the robot's own)."),
-    iterations: int = typer.Option(20, help="At most so many for a waypoint."),
+    iterations: int | None = typer.Option(None, help="At most so many for a waypoint; by sqp, in all."),
+    problem: Path | None = typer.Option(None, help="By sqp: YAML of costs, constraints and links (default: (4.34))."),
+    coupled: bool = typer.Option(True, "--coupled/--alone", help="By sqp: all waypoints at once, or each by itself."),
     length: float = typer.Option(2.0, help="Length of the dual trajectory's line, in metres."),
     amplitude: float = typer.Option(0.2, help="Amplitude of its base's sinusoid, in metres."),
     waypoints: int = typer.Option(200, help="Waypoints of the dual trajectory."),
@@ -25,12 +27,14 @@ def command(
     from longreach.app.plan import PlanConfig, make_plan, write_plan
     from longreach.app.warmup import warm_up
     from longreach.evaluation.tables import metric_table
-    from longreach.io.config import validated
+    from longreach.io.config import read_yaml, validated
     from longreach.io.robots import load_robot
+    from longreach.planning.problem_config import problem_of
 
     settings = {
         "method": method,
         "iterations": iterations,
+        "coupled": coupled,
         "length": length,
         "amplitude": amplitude,
         "waypoints": waypoints,
@@ -38,11 +42,12 @@ def command(
         "retime": retime,
     }
     config = validated(PlanConfig, settings, "the options")
+    posed = None if problem is None else problem_of(read_yaml(problem) or {})
     model = load_robot(robot)
     model = model if tool is None else model.with_tool(tool)
     with shown_progress() as progress:
-        warm_up(progress, "task priority")
-        planned = make_plan(model, reference, config, progress)
+        warm_up(progress, "task priority", *(["sqp"] if method == "sqp" else []))
+        planned = make_plan(model, reference, config, progress, posed)
         write_plan(planned, out, progress)
     table = metric_table(planned.metrics)
     print_table(table.header, table.rows)

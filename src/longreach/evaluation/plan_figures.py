@@ -144,5 +144,7 @@ PLAN_CAPTIONS = {
     "joints": "All joints along the plan.",
     "velocities": "How fast each joint moves, as a share of its limit. Beyond ±100 % the robot cannot follow.",
     "manipulability": "How well the whole body can move the tool in all directions; 0 at a singularity.",
+    "optimised": "Optimised against not optimised (figure 6.5); grey: what the base's tolerances allow.",
+    "convergence": "How the optimisation came to its end, iteration by iteration.",
     "task_errors": "What is left of each task's error; dots mark where it is more than what counts as met.",
 }
