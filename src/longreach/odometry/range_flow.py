@@ -215,7 +215,7 @@ def step(
         pose,
         covariance,
     )
-    if rows < _FEWEST_ROWS or not math.isfinite(pose.sum() + covariance.sum()):
+    if rows < _FEWEST_ROWS:
         reason = f"only {rows} beams see something in both scans"
         return RangeFlowState(scan.stamp, g, pyramid, np.zeros((2, 3))), ScanMatch(scan.stamp, None, reason, rows)
     measurement = RelativePoseMeasurement(state.stamp, scan.stamp, pose, covariance, source="lidar")
