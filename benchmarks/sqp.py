@@ -290,7 +290,8 @@ def main() -> None:
     half = lr.Reference(ref.stamps[::2], dual["T"][::2], dual["B"][::2])
     if find_spec("casadi"):
         scenes_beside_ipopt(half, options.ipopt_scenes)
-    scenes(half, options.scenes)
+    if options.scenes:
+        scenes(half, options.scenes)
 
 
 if __name__ == "__main__":
