@@ -156,9 +156,11 @@ class Scanner:
         nearest, farthest = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf
         ranges[rng.random(len(ranges)) < self.timing.lost_beams] = math.inf
         ranges[(ranges < nearest) | (ranges > farthest)] = math.inf
-        numbers = (self.angles[0], self.angles[1] - self.angles[0], nearest, farthest, self.beam_time)
-        single = (float(np.float32(number)) for number in numbers)  # as a message holds them: a replay sees the same
-        return LaserScan(stamp, ranges.astype(np.float32), *single, self.lidar.frame or "laser")
+        numbers = [self.angles[0], self.angles[1] - self.angles[0], nearest, farthest, self.beam_time]
+        first_beam, increment, nearest, farthest, between = np.array(numbers, dtype=np.float32).tolist()
+        single = ranges.astype(np.float32)  # as a message holds them: a replay sees the same
+        frame = self.lidar.frame or "laser"
+        return LaserScan(stamp, single, first_beam, increment, nearest, farthest, between, frame)
 
 
 @dataclass
