@@ -108,7 +108,7 @@ def test_one_source_alone_is_the_filter_on_that_source(made, thing):
     alone = estimate(made, thing, WHEELS_ALONE)
     assert {c.source for c in alone.corrections} == {"wheels"}
     assert same(estimate(made.replace(imu=()), thing, WHEELS_ALONE), alone)
-    assert value(alone, "fused", "ate_rmse") < 2.0 * value(alone, "wheels", "ate_rmse")
+    assert value(alone, "fused", "ate_rmse") < 1.1 * value(alone, "wheels", "ate_rmse")
     assert {"wheels", "lidar"} <= set(alone.trajectories)  # dead reckoning is there to compare, fused or not
 
 
