@@ -23,3 +23,7 @@ class PlanningError(LongreachError):
 
 class ModelError(LongreachError):
     """A robot's model, a frame of it, or a configuration for it cannot be used."""
+
+
+class ControlError(LongreachError):
+    """A command, a controller or its input cannot be used."""

@@ -164,6 +164,8 @@ class RelativePoseMeasurement(_Stamped):
 
     reading_covariance: where `pose` is the step between two readings of one counter, the error of a reading itself
     (rounding, age): it does not add up from step to step as `covariance` does. None: there is none, or none is known.
+    shared_covariance: the part of `covariance` that all poses relative to this reference have in common, as the noise
+    of a keyframe's own scan. None: each stands for itself.
     """
 
     stamp_reference: float
@@ -172,7 +174,13 @@ class RelativePoseMeasurement(_Stamped):
     covariance: Float[np.ndarray, "3 3"]
     source: str = "relative"
     reading_covariance: Float[np.ndarray, "3 3"] | None = None
-    _shapes: ClassVar = {"pose": (3,), "covariance": (3, 3), "reading_covariance": (3, 3)}
+    shared_covariance: Float[np.ndarray, "3 3"] | None = None
+    _shapes: ClassVar = {
+        "pose": (3,),
+        "covariance": (3, 3),
+        "reading_covariance": (3, 3),
+        "shared_covariance": (3, 3),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +193,27 @@ class JointState(_Stamped):
     velocity: Float[np.ndarray, " m"]
     effort: Float[np.ndarray, " k"]
     _shapes: ClassVar = {"position": (None,), "velocity": (None,), "effort": (None,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench(_Stamped):
+    """Force [N] and torque [N·m] that the environment exerts on the tool, in the frame of the sensor."""
+
+    stamp: float
+    force: Float[np.ndarray, "3"]
+    torque: Float[np.ndarray, "3"]
+    frame: str = "wrench"
+    _shapes: ClassVar = {"force": (3,), "torque": (3,)}
+
+
+@dataclass(frozen=True)
+class GripperState:
+    """Where the fingers are: closed from 0 (open) to 1 (closed), how fast [1/s], with what force at the tips [N]."""
+
+    stamp: float
+    closed: float
+    velocity: float = 0.0
+    force: float = 0.0
 
 
 Wheels = WheelSpeeds | WheelTicks | Odometry
@@ -206,6 +235,7 @@ class Recording:
     imu: tuple[Imu, ...] = ()
     fixes: tuple[PoseMeasurement, ...] = ()
     joints: tuple[JointState, ...] = ()
+    wrenches: tuple[Wrench, ...] = ()
     truth: PoseTrajectory | None = None
     mounts: Mapping[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
     recorded_stamps: Mapping[float, float] = field(default_factory=dict)

@@ -9,12 +9,14 @@ from pydantic import BaseModel, ValidationError
 
 from longreach.control import joint_trajectory, safety
 from longreach.control.controllers import CONTROLLERS, ControllerConfig, controller
-from longreach.control.hardware import Command, ControlError, Hardware, Readings, Wrench
+from longreach.control.hardware import Command, Hardware, Readings
 from longreach.control.interpolation import timed_points
 from longreach.control.joint_trajectory import JointInput, JointTrajectoryConfig
 from longreach.control.safety_checks import Health
 from longreach.control.safety_config import SafetyConfig, limits_of
+from longreach.errors import ControlError
 from longreach.io.config import read_config, to_yaml, validated
+from longreach.measurement import Wrench
 
 
 class Settings(BaseModel):

@@ -5,7 +5,9 @@ import pytest
 
 from longreach.control import gripper
 from longreach.control.gripper import GripperConfig, GripperInput
-from longreach.control.hardware import ControlError, GripperCommand, GripperState
+from longreach.control.hardware import GripperCommand
+from longreach.errors import ControlError
+from longreach.measurement import GripperState
 
 
 def run(goal, thing_at=2.0, speed=0.8, seconds=4.0):

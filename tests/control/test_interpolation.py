@@ -6,8 +6,8 @@ from jacobians import assert_is_jacobian
 from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 
 from longreach.configuration import ConfigurationTrajectory
-from longreach.control.hardware import ControlError
 from longreach.control.interpolation import sample, timed_points
+from longreach.errors import ControlError
 
 
 @pytest.fixture

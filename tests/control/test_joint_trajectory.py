@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from longreach.control import joint_trajectory
-from longreach.control.hardware import ControlError
 from longreach.control.interpolation import sample, timed_points
 from longreach.control.joint_trajectory import JointInput, JointTrajectoryConfig
 from longreach.control.pid import PidConfig
+from longreach.errors import ControlError
 
 PERIOD = 0.008
 GOAL = np.array([0.5, -0.3])

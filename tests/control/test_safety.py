@@ -8,10 +8,10 @@ import pytest
 from control.recorded import NAMES, NOTHING, PERIOD, readings
 
 from longreach.control import safety
-from longreach.control.hardware import Command, GripperCommand, Wrench
+from longreach.control.hardware import Command, GripperCommand
 from longreach.control.safety_checks import Health, Innovation
 from longreach.control.safety_config import SafetyConfig, limits_of
-from longreach.measurement import JointState, WheelSpeeds
+from longreach.measurement import JointState, WheelSpeeds, Wrench
 
 CRUISE, TWIST = np.array([0.5, -0.2]), np.array([0.6, 0.0, 0.3])
 

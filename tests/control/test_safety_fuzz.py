@@ -6,10 +6,11 @@ from control.recorded import readings
 
 from longreach.control import _limit_kernels, safety
 from longreach.control._limit_kernels import limit
-from longreach.control.hardware import Command, Wrench
+from longreach.control.hardware import Command
 from longreach.control.safety_checks import Health, Innovation
 from longreach.control.safety_config import SafetyConfig, limits_of
 from longreach.kernels import kernel
+from longreach.measurement import Wrench
 
 HOLD = 0.04
 SLACK = 1e-9

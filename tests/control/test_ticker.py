@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from longreach.control import ticker
-from longreach.control.hardware import ControlError
+from longreach.errors import ControlError
 
 
 class Clock:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from longreach.control.hardware import Command, ControlError, GripperCommand
-from longreach.errors import ConfigError
+from longreach.control.hardware import Command, GripperCommand
+from longreach.errors import ConfigError, ControlError
 from longreach.io.robots import load_robot
 from longreach.sim import mujoco_model, room
 from longreach.sim.kinematic import GRAVITY

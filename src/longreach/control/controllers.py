@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 from longreach.control import base_velocity, gripper, joint_trajectory
 from longreach.control.base_velocity import BaseVelocityConfig
 from longreach.control.gripper import GripperConfig
-from longreach.control.hardware import ControlError
 from longreach.control.joint_trajectory import JointTrajectoryConfig
+from longreach.errors import ControlError
 
 ControllerConfig = Annotated[JointTrajectoryConfig | BaseVelocityConfig | GripperConfig, Field(discriminator="kind")]
 

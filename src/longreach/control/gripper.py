@@ -5,7 +5,9 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.control.hardware import ControlError, GripperCommand, GripperState
+from longreach.control.hardware import GripperCommand
+from longreach.errors import ControlError
+from longreach.measurement import GripperState
 
 Status = Literal["idle", "moving", "reached", "holding", "not reached"]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -26,39 +26,10 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from longreach.errors import LongreachError
-from longreach.measurement import Imu, JointState, LaserScan, Wheels, frozen_array
+from longreach.measurement import GripperState, Imu, JointState, LaserScan, Wheels, Wrench, frozen_array
 from longreach.robot.chain import JointLimits
 
 ArmMode = Literal["velocity", "position"]
-
-
-class ControlError(LongreachError):
-    """A command, a controller or its input cannot be used."""
-
-
-@dataclass(frozen=True, eq=False)
-class Wrench:
-    """Force [N] and torque [N·m] that the environment exerts on the tool, in the frame of the sensor (an FT300)."""
-
-    stamp: float
-    force: Float[np.ndarray, "3"]
-    torque: Float[np.ndarray, "3"]
-    frame: str = "wrench"
-
-    def __post_init__(self) -> None:
-        for name in ("force", "torque"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), f"Wrench.{name}"))
-
-
-@dataclass(frozen=True)
-class GripperState:
-    """Where the fingers are: closed from 0 (open) to 1 (closed), how fast [1/s], with what force at the tips [N]."""
-
-    stamp: float
-    closed: float
-    velocity: float = 0.0
-    force: float = 0.0
 
 
 @dataclass(frozen=True)

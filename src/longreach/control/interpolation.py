@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import _interpolation_kernels
-from longreach.control.hardware import ControlError
+from longreach.errors import ControlError
 
 Degree = Literal["cubic", "quintic"]
 

@@ -14,8 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import pid
-from longreach.control.hardware import ArmMode, ControlError
+from longreach.control.hardware import ArmMode
 from longreach.control.interpolation import Degree, sample
+from longreach.errors import ControlError
 
 Status = Literal["idle", "running", "reached", "path tolerance violated", "goal time exceeded"]
 _Tolerance = Annotated[float, Field(gt=0)]

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from longreach.control.hardware import ControlError, Promises
+from longreach.control.hardware import Promises
+from longreach.errors import ControlError
 
 Source = Literal["wheels", "scans", "imu", "joints", "wrenches"]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

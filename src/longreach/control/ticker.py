@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Int
 
-from longreach.control.hardware import ControlError
+from longreach.errors import ControlError
 
 _SHORTEST, _GROWTH, _BINS = 1e-6, 1.05, 380  # from a microsecond to two minutes in steps of 5 %
 

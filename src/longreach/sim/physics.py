@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.control.hardware import Command, ControlError, Promises, Readings
-from longreach.errors import ConfigError
+from longreach.control.hardware import Command, Promises, Readings
+from longreach.errors import ConfigError, ControlError
 from longreach.robot.description import Encoder, Mount
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.motion import AT_ONCE, LEVER, PAST, Motion, Truth, arm_limits

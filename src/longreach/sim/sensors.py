@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.control.hardware import GripperState, Wrench
 from longreach.geometry import se2, so3
-from longreach.measurement import Imu, JointState, LaserScan, WheelSpeeds, WheelTicks
+from longreach.measurement import GripperState, Imu, JointState, LaserScan, WheelSpeeds, WheelTicks, Wrench
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount
 from longreach.sim._sweep_kernels import sweep
 
