@@ -18,6 +18,7 @@ RECORDS = {
     "TwistMeasurement": lambda stamp: m.TwistMeasurement(stamp, TWIST, PLANE),
     "PoseMeasurement": lambda stamp: m.PoseMeasurement(stamp, TWIST, PLANE),
     "RelativePoseMeasurement": lambda stamp: m.RelativePoseMeasurement(0.0, stamp, TWIST, PLANE),
+    "Wrench": lambda stamp: m.Wrench(stamp, np.ones(3), np.ones(3)),
     "JointState": lambda stamp: m.JointState(stamp, ("a",), np.ones(1), np.zeros(0), np.zeros(0)),
 }
 

@@ -229,11 +229,11 @@ def _reading(xi: np.ndarray, kind: _Kind, robot: RobotDescription) -> np.ndarray
     """Return the covariance (n, 3, 3) of a reading itself: its age, up to one step, and the rounding of a counter.
 
     A message holds the last state of a counter that was read at some time since the message before: its age is evenly
-    spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the steps about the reading. (In CARMEN's logs
-    the pose beside a scan is just that: the last one of the wheels' own messages, up to 0.2 s old.)
+    spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the step to the reading and the one before. (In
+    CARMEN's logs the pose beside a scan is just that: the last one of the wheels' own messages, up to 0.2 s old.)
     """
-    neighbours = np.stack([np.vstack([xi[:1], xi[:-1]]), xi, np.vstack([xi[1:], xi[-1:]])])
-    R = np.einsum("kni,knj->nij", neighbours, neighbours) / (3 * 3)
+    steps = np.stack([np.vstack([xi[:1], xi[:-1]]), xi])
+    R = np.einsum("kni,knj->nij", steps, steps) / (3 * 2)
     rounding = np.full(3, _FLOOR)
     base, encoder = robot.base, robot.encoder
     if kind == "ticks" and base is not None and encoder is not None and encoder.resolution is not None:
