@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import RecordingError
 from longreach.geometry import se3
 from longreach.io.bag import read_bag
@@ -21,7 +22,9 @@ from longreach.measurement import (
     Recording,
     WheelSpeeds,
     WheelTicks,
+    Wrench,
 )
+from longreach.reference import Reference
 from longreach.robot.bases import MecanumBase
 from longreach.robot.description import Encoder, RobotDescription, Topics
 from longreach.trajectory import PoseTrajectory, monotone_clock
@@ -49,6 +52,7 @@ def recording(rng, start, wheels):
         imu=tuple(Imu(s + 0.007, rng.normal(size=3), rng.normal(size=3), "imu_link") for s in stamps),
         fixes=tuple(PoseMeasurement(s + 0.001, rng.uniform(-3, 3, 3), np.diag([0.1, 0.2, math.inf])) for s in stamps),
         joints=tuple(JointState(s, arm, rng.normal(size=2), np.zeros(0), rng.normal(size=2)) for s in stamps),
+        wrenches=tuple(Wrench(s + 0.002, rng.normal(size=3), rng.normal(size=3), "wrist") for s in stamps),
         truth=PoseTrajectory(np.array(stamps), rng.uniform(-3, 3, (30, 3))),
         mounts={"front": se3.exp(rng.normal(size=6)), "imu_link": se3.exp(rng.normal(size=6))},
     )
@@ -69,7 +73,7 @@ def assert_same(found, wanted):
 
 
 def assert_same_recording(found, wanted):
-    for sensor in ("wheels", "scans", "imu", "fixes", "joints"):
+    for sensor in ("wheels", "scans", "imu", "fixes", "joints", "wrenches"):
         a, b = getattr(found, sensor), getattr(wanted, sensor)
         assert len(a) == len(b) > 0
         for x, y in zip(a, b, strict=True):
@@ -189,6 +193,75 @@ def test_a_stamp_that_ros_cannot_hold_is_refused(tmp_path, rng):
 def test_wheels_without_a_base_that_names_them_are_refused(tmp_path, rng):
     with pytest.raises(RecordingError, match="no base that names the wheels"):
         write_bag(tmp_path / "run.bag", recording(rng, 1.0, WheelTicks), RobotDescription(name="r"))
+
+
+def messages_of(path):
+    """topic → its messages, read with the types that the bag itself defines."""
+    found = {}
+    with AnyReader([path]) as bag:
+        for connection, _, raw in bag.messages():
+            found.setdefault(connection.topic, []).append(bag.deserialize(raw, connection.msgtype))
+    return found
+
+
+def placed(message):
+    t, q = message.transform.translation, message.transform.rotation
+    return [t.x, t.y, t.z, 2 * math.atan2(q.z, q.w)]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_was_planned_thought_and_reached_is_written_beside_what_was_measured(tmp_path, rng, name):
+    written = recording(rng, 1.0, WheelTicks)
+    q = rng.normal(size=(5, 2))
+    plan = ConfigurationTrajectory(np.array([1.0, 1.1, 1.25, 1.3, 1.5]), q, ("shoulder", "elbow"))
+    thought = PoseTrajectory(1.0 + 0.1 * np.arange(4), rng.uniform(-3, 3, (4, 3)), np.tile(0.1 * np.eye(3), (4, 1, 1)))
+    T = se3.exp(rng.normal(size=(4, 6)))
+    tool = {"truth": Reference(thought.stamps, tool=T), "estimate": Reference(thought.stamps, tool=T)}
+    write_bag(tmp_path / name, written, robot(), plan=plan, estimate=thought, tool=tool)
+    assert_same_recording(read_bag(tmp_path / name, robot()), written)
+    found = messages_of(tmp_path / name)
+    (told,) = found["/joint_trajectory"]
+    assert list(told.joint_names) == ["shoulder", "elbow"]
+    np.testing.assert_array_equal([p.positions for p in told.points], q)
+    np.testing.assert_array_equal([p.velocities for p in told.points], plan.velocities)
+    since = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in told.points]
+    np.testing.assert_allclose(since, plan.stamps - 1.0, atol=1e-9)
+    last = found["/odometry/filtered"][-1]
+    assert (last.header.frame_id, last.child_frame_id) == ("map", "base_link")
+    assert last.pose.pose.position.x == pytest.approx(thought.poses[-1, 0], abs=1e-15)
+    assert last.pose.covariance[35] == pytest.approx(0.1)
+    moved = [placed(m.transforms[0]) for m in found["/tf"]]
+    np.testing.assert_allclose(moved, np.insert(thought.poses, 2, 0.0, axis=1), atol=1e-12)
+    assert [t.child_frame_id for t in found["/tf_static"][0].transforms] == ["front", "imu_link"]
+    p = found["/tool/truth"][2].pose.position
+    np.testing.assert_allclose([p.x, p.y, p.z], T[2, :3, 3], atol=1e-15)
+    assert len(found["/tool/estimate"]) == 4
+
+
+def test_without_an_estimate_the_transforms_say_the_truth(tmp_path, rng):
+    written = recording(rng, 1.0, WheelTicks)
+    write_bag(tmp_path / "run.mcap", written, robot())
+    moved = [placed(m.transforms[0]) for m in messages_of(tmp_path / "run.mcap")["/tf"]]
+    np.testing.assert_allclose(moved, np.insert(written.truth.poses, 2, 0.0, axis=1), atol=1e-12)
+
+
+def test_joints_and_wrenches_come_back_for_a_description_that_names_no_topics(tmp_path, rng):
+    written = recording(rng, 1.0, WheelTicks)
+    write_bag(tmp_path / "run.mcap", written, robot(topics=Topics()))
+    found = read_bag(tmp_path / "run.mcap", robot(topics=Topics()))
+    assert (len(found.joints), len(found.wrenches), found.remarks) == (30, 30, ())
+    np.testing.assert_array_equal(found.joints[3].effort, written.joints[3].effort)
+
+
+def test_an_estimate_in_a_bag_is_not_taken_for_wheels_or_fixes(tmp_path, rng):
+    bare = RobotDescription(name="r", topics=Topics(fixes="/gps"))
+    twists = tuple(Odometry(0.1 * i, twist=rng.normal(size=3)) for i in range(1, 5))
+    path = PoseTrajectory(np.arange(1.0, 5.0), np.zeros((4, 3)))
+    tool = {"truth": Reference(path.stamps, tool=np.tile(np.eye(4), (4, 1, 1)))}
+    write_bag(tmp_path / "run.mcap", Recording(name="run", wheels=twists), bare, estimate=path, tool=tool)
+    found = read_bag(tmp_path / "run.mcap", bare)
+    assert len(found.wheels) == 4
+    assert found.remarks == ("There is no topic /gps, so the recording is read without fixes.",)
 
 
 def test_any_standard_message_can_be_written(tmp_path):

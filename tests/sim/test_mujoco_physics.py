@@ -277,8 +277,9 @@ def test_a_camera_gives_a_picture_or_a_sentence(rest):
 def test_a_recorded_profile_holds_what_was_sensed_and_what_was_true():
     simulation = Simulation(THING, EMPTY)
     recording = record(simulation, lambda t: np.array([0.4 * np.sin(3 * t), 0.0, 0.3]), 1.0)
-    counts = [len(recording.wheels), len(recording.scans), len(recording.imu), len(recording.joints)]
-    assert counts == pytest.approx([54, 43, 109, 137], abs=2)
+    kinds = ("wheels", "scans", "imu", "joints", "wrenches")
+    counts = [len(getattr(recording, kind)) for kind in kinds]
+    assert counts == pytest.approx([54, 43, 109, 137, 109], abs=2)
     steps = np.diff([w.ticks for w in recording.wheels], axis=0) @ BASE.forward_matrix.T
     assert steps[:, 2].sum() == pytest.approx(recording.truth.poses[-1, 2], rel=0.03)
     assert set(recording.mounts) == {"front_laser", "imu_link"}

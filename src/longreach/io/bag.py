@@ -88,6 +88,7 @@ def read_bag(
         imu=made.get("imu", ()),
         fixes=made.get("fixes", ()),
         joints=made.get("joints", ()),
+        wrenches=made.get("wrench", ()),
         truth=truth,
         mounts=mounts,
         recorded_stamps=recorded,
@@ -106,6 +107,7 @@ def _read_all(
         "imu": records.imu,
         "fixes": records.fix,
         "joints": lambda message: records.joints(message, robot),
+        "wrench": records.wrench,
         "truth": records.stamped_pose,
     }
     taking: dict[tuple[str, str], list[Callable[[Any, int], None]]] = {}

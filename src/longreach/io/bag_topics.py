@@ -23,7 +23,12 @@ _TYPES = {
     "truth": (*_POSES, *TRANSFORMS),
     "fixes": _POSES,
     "joints": (JOINT_STATE,),
+    "wrench": ("geometry_msgs/msg/WrenchStamped",),
 }
+# Where `write_bag` puts what no topic of a description is for; what is there is no sensor.
+ESTIMATE, TOOL, PLAN = "/odometry/filtered", "/tool/", "/joint_trajectory"
+# Topics that are taken where the description names none: those of `write_bag`.
+USUAL = {"joints": "/arm/joint_states", "wrench": "/wrench"}
 _FOUND_BY_TYPE = ("wheels", "lidar", "imu")
 _NAMES_IN = 20  # messages to look for wheels in; several nodes may share a topic
 
@@ -40,18 +45,21 @@ def choose_topics(
         RecordingError: a named topic is missing or of the wrong type, or there are several and none is named.
     """
     names = {role: getattr(robot.topics, role) for role in _TYPES}
+    there = {(topic.name, topic.type) for topic in bag.topics if topic.name not in names.values()}
+    names |= {role: name for role, name in USUAL.items() if names[role] is None and (name, _TYPES[role][0]) in there}
     if truth_topic is not None:
         names["truth"] = truth_topic
     chosen: dict[str, Topic] = {}
+    sensed = [topic for topic in bag.topics if topic.name != ESTIMATE and not topic.name.startswith(TOOL)]
     for role, name in names.items():
         others = {other for r, other in names.items() if r != role}
-        free = [topic for topic in bag.topics if topic.type in _TYPES[role] and topic.name not in others]
+        free = [topic for topic in sensed if topic.type in _TYPES[role] and topic.name not in others]
         if any(topic.name == name for topic in bag.topics):
             chosen[role] = _named(bag, role, str(name))
         elif name is None and role in _FOUND_BY_TYPE and (topic := _only(bag, robot, role, free)) is not None:
             chosen[role] = topic
     remarks = []
-    unused = [topic for topic in bag.topics if topic not in chosen.values()]
+    unused = [topic for topic in sensed if topic not in chosen.values()]
     for role in sorted(names.keys() - chosen.keys()):
         if (name := names[role]) is None:
             continue

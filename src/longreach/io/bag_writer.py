@@ -4,7 +4,7 @@ import heapq
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
@@ -17,13 +17,17 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import RecordingError
 from longreach.io import messages
+from longreach.io.bag_topics import ESTIMATE, PLAN, TOOL, USUAL
 from longreach.io.messages import Types, nanoseconds
 from longreach.measurement import Odometry, Recording, Wheels, WheelSpeeds, WheelTicks
+from longreach.reference import Reference
 from longreach.robot.description import RobotDescription
+from longreach.trajectory import PoseTrajectory
 
-_STATIC = "/tf_static"
+_STATIC, _MOVING = "/tf_static", "/tf"
 _TELL_EVERY = 500  # messages
 _ROS2_VERSION: Literal[8] = 8  # what ROS 2 Jazzy writes; older ones read it too
 _FOREVER = QosTime(9223372036, 854775807)
@@ -115,18 +119,29 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
 
 
 def write_bag(
-    path: Path, recording: Recording, robot: RobotDescription, progress: Callable[[float], None] | None = None
+    path: Path,
+    recording: Recording,
+    robot: RobotDescription,
+    progress: Callable[[float], None] | None = None,
+    *,
+    plan: ConfigurationTrajectory | None = None,
+    estimate: PoseTrajectory | None = None,
+    tool: Mapping[str, Reference] | None = None,
 ) -> None:
     """Write a recording as a bag on the topics of the robot's description, or the usual ones where it names none.
 
     Headers carry the stamps as recorded; the time of recording is the repaired one. `read_bag` gives the same records
-    again (ranges as float32), if the description names the topics of truth, fixes and joints. Of the truth the poses
-    are written, not their covariance.
+    again (ranges as float32), if the description names the topics of truth and fixes. Of the truth the poses are
+    written, not their covariance.
+
+    Arguments: plan: what was to be done, as one JointTrajectory. estimate: where the base was thought to be, as
+        Odometry on /odometry/filtered, and what /tf says of base_link in map; without it, /tf says the truth. tool:
+        what the tool's poses are called (truth, estimate, reference) → these, as PoseStamped on /tool/….
 
     Raises:
         RecordingError: wheels without a base that names them, stamps before 1970, or a path that cannot be written.
     """
-    streams = _streams(recording, robot)
+    streams = _streams(recording, robot) + _results(recording, plan, estimate, tool or {})
     total = max(sum(stream.count for stream in streams), 1)
     with new_bag(path) as bag:
         merged = heapq.merge(*(stream.messages(bag.types) for stream in streams), key=lambda item: item[0])
@@ -165,17 +180,50 @@ def _streams(recording: Recording, robot: RobotDescription) -> list[_Stream]:
         of(topics.lidar or "/scan", recording.scans, messages.laser_scan),
         of(topics.imu or "/imu/data", recording.imu, messages.imu),
         of(topics.fixes or "/fixes", recording.fixes, messages.pose_with_covariance),
-        of(topics.joints or "/arm/joint_states", recording.joints, messages.joint_state_of),
+        of(topics.joints or USUAL["joints"], recording.joints, messages.joint_state_of),
+        of(topics.wrench or USUAL["wrench"], recording.wrenches, messages.wrench),
     ]
     truth = recording.truth
     if truth is not None:
-        rows = zip(truth.clock.tolist(), truth.stamps.tolist(), truth.poses, strict=True)
         make = partial(messages.pose_stamped, has_heading=truth.has_heading)
-        streams.append(_Stream(topics.truth or "/truth", len(truth), rows, make))
+        streams.append(_path(topics.truth or "/truth", truth, truth.poses, make))
     if recording.mounts:
-        firsts = [sensor[0].stamp for sensor in (recording.wheels, recording.scans, recording.imu) if sensor]
-        first = min(firsts, default=0.0)
+        first = _first(recording)
         streams.insert(0, _Stream(_STATIC, 1, [(first, first, recording.mounts)], messages.transforms))
+    return streams
+
+
+def _first(recording: Recording) -> float:
+    firsts = [sensor[0].stamp for sensor in (recording.wheels, recording.scans, recording.imu) if sensor]
+    return min(firsts, default=0.0)
+
+
+def _path(topic: str, path: PoseTrajectory, rows: Iterable[Any], make: Callable[[Types, float, Any], Any]) -> _Stream:
+    return _Stream(topic, len(path), zip(path.clock.tolist(), path.stamps.tolist(), rows, strict=True), make)
+
+
+def _results(
+    recording: Recording,
+    plan: ConfigurationTrajectory | None,
+    estimate: PoseTrajectory | None,
+    tool: Mapping[str, Reference],
+) -> list[_Stream]:
+    """Return what was planned, thought and reached, which no sensor has measured."""
+    streams = []
+    if plan is not None:
+        start = max(float(plan.stamps[0]), 0.0)
+        streams.append(_Stream(PLAN, 1, [(start, start, plan)], messages.joint_trajectory))
+    if estimate is not None:
+        P = [None] * len(estimate) if estimate.covariance is None else estimate.covariance
+        rows = (Odometry(0.0, pose, pose_covariance=C) for pose, C in zip(estimate.poses, P, strict=True))
+        streams.append(_path(ESTIMATE, estimate, rows, partial(messages.odometry, frame="map")))
+    base = estimate or recording.truth
+    if base is not None and base.has_heading:
+        streams.append(_path(_MOVING, base, base.poses, messages.base_transform))
+    for name, poses in tool.items():
+        if poses.tool is not None:
+            rows = zip(poses.stamps.tolist(), poses.stamps.tolist(), poses.tool, strict=True)
+            streams.append(_Stream(f"{TOOL}{name}", len(poses), rows, messages.tool_pose))
     return streams
 
 

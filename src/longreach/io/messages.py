@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import RecordingError
 from longreach.geometry import so3
-from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement
+from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement, Wrench
 
 Types = Mapping[str, Any]
 
@@ -92,13 +93,31 @@ def imu(types: Types, stamp: float, reading: Imu) -> Any:
     )
 
 
-def odometry(types: Types, stamp: float, record: Odometry) -> Any:
-    """Return a nav_msgs/Odometry of base_link in odom; the covariance of what the record lacks starts with -1."""
+def wrench(types: Types, stamp: float, felt: Wrench) -> Any:
+    """Return a geometry_msgs/WrenchStamped."""
+    vector = types["geometry_msgs/msg/Vector3"]
+    felt_wrench = types["geometry_msgs/msg/Wrench"](vector(*felt.force.tolist()), vector(*felt.torque.tolist()))
+    return types["geometry_msgs/msg/WrenchStamped"](header(types, stamp, felt.frame), felt_wrench)
+
+
+def joint_trajectory(types: Types, stamp: float, trajectory: ConfigurationTrajectory) -> Any:
+    """Return a trajectory_msgs/JointTrajectory; its times count from the trajectory's first row."""
+    Point, Duration = types["trajectory_msgs/msg/JointTrajectoryPoint"], types["builtin_interfaces/msg/Duration"]
+    points = []
+    since = np.rint(1e9 * (trajectory.stamps - trajectory.stamps[0])).astype(int).tolist()
+    for after_ns, q, v in zip(since, trajectory.q, trajectory.velocities, strict=True):
+        points.append(Point(q, v, np.zeros(0), np.zeros(0), Duration(*divmod(after_ns, 10**9))))
+    names = list(trajectory.joint_names) or [f"q{i}" for i in range(trajectory.q.shape[1])]
+    return types["trajectory_msgs/msg/JointTrajectory"](header(types, stamp, "world"), names, points)
+
+
+def odometry(types: Types, stamp: float, record: Odometry, frame: str = "odom") -> Any:
+    """Return a nav_msgs/Odometry of base_link in a frame; the covariance of what the record lacks starts with -1."""
     vx, vy, omega = (np.zeros(3) if record.twist is None else record.twist).tolist()
     vector = types["geometry_msgs/msg/Vector3"]
     twist = types["geometry_msgs/msg/Twist"](vector(vx, vy, 0.0), vector(0.0, 0.0, omega))
     return types["nav_msgs/msg/Odometry"](
-        header=header(types, stamp, "odom"),
+        header=header(types, stamp, frame),
         child_frame_id="base_link",
         pose=types["geometry_msgs/msg/PoseWithCovariance"](
             _pose(types, np.zeros(3) if record.pose is None else record.pose),
@@ -118,12 +137,28 @@ def pose_stamped(types: Types, stamp: float, pose: Float[np.ndarray, "3"], *, ha
     return types["geometry_msgs/msg/PoseStamped"](header(types, stamp, "map"), message)
 
 
+def tool_pose(types: Types, stamp: float, T: Float[np.ndarray, "4 4"]) -> Any:
+    """Return a geometry_msgs/PoseStamped of a rigid motion in map."""
+    point = types["geometry_msgs/msg/Point"](*T[:3, 3].tolist())
+    pose = types["geometry_msgs/msg/Pose"](point, _turn(types, quaternion_xyzw(T[:3, :3])))
+    return types["geometry_msgs/msg/PoseStamped"](header(types, stamp, "map"), pose)
+
+
 def pose_with_covariance(types: Types, stamp: float, fix: PoseMeasurement) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped in map."""
     pose = types["geometry_msgs/msg/PoseWithCovariance"](
         _pose(types, fix.pose), _covariance_or_mark(fix.covariance, True)
     )
     return types["geometry_msgs/msg/PoseWithCovarianceStamped"](header(types, stamp, "map"), pose)
+
+
+def base_transform(types: Types, stamp: float, pose: Float[np.ndarray, "3"]) -> Any:
+    """Return a tf2_msgs/TFMessage that says where base_link is in map."""
+    x, y, theta = pose.tolist()
+    translation = types["geometry_msgs/msg/Vector3"](x, y, 0.0)
+    transform = types["geometry_msgs/msg/Transform"](translation, _heading(types, theta))
+    stamped = types["geometry_msgs/msg/TransformStamped"](header(types, stamp, "map"), "base_link", transform)
+    return types["tf2_msgs/msg/TFMessage"]([stamped])
 
 
 def transforms(types: Types, stamp: float, mounts: Mapping[str, Float[np.ndarray, "4 4"]]) -> Any:
@@ -148,10 +183,13 @@ def _turn(types: Types, xyzw: np.ndarray) -> Any:
     return types["geometry_msgs/msg/Quaternion"](*xyzw.tolist())
 
 
+def _heading(types: Types, theta: float) -> Any:
+    return _turn(types, np.array([0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)]))
+
+
 def _pose(types: Types, pose: np.ndarray) -> Any:
     x, y, theta = pose.tolist()
-    turn = np.array([0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)])
-    return types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](x, y, 0.0), _turn(types, turn))
+    return types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](x, y, 0.0), _heading(types, theta))
 
 
 def _covariance_or_mark(planar: np.ndarray | None, measured: bool, size: int = 36) -> np.ndarray:

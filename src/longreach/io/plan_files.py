@@ -6,7 +6,7 @@ import numpy as np
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.io.bag_writer import new_bag
-from longreach.io.messages import header
+from longreach.io.messages import joint_trajectory
 from longreach.io.whole_files import write_text
 
 TOPIC = "/joint_trajectory"
@@ -25,15 +25,4 @@ def write_trajectory_mcap(path: Path, trajectory: ConfigurationTrajectory) -> No
     """Write one trajectory_msgs/JointTrajectory; times count from the trajectory's first row, whose stamp it bears."""
     start = float(trajectory.stamps[0])
     with new_bag(path) as bag:
-        point, message, duration = (
-            bag.types["trajectory_msgs/msg/JointTrajectoryPoint"],
-            bag.types["trajectory_msgs/msg/JointTrajectory"],
-            bag.types["builtin_interfaces/msg/Duration"],
-        )
-        points = []
-        for stamp, q, v in zip(trajectory.stamps.tolist(), trajectory.q, trajectory.velocities, strict=True):
-            seconds, nanoseconds = divmod(round(1e9 * (stamp - start)), 10**9)
-            since = duration(sec=seconds, nanosec=nanoseconds)
-            points.append(point(q, v, np.zeros(0), np.zeros(0), since))
-        names = list(trajectory.joint_names) or [f"q{i}" for i in range(trajectory.q.shape[1])]
-        bag.write(TOPIC, message(header(bag.types, start, "world"), names, points), start)
+        bag.write(TOPIC, joint_trajectory(bag.types, start, trajectory), start)

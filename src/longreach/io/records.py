@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.io.messages import NOT_MEASURED, PLANAR
-from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement, WheelSpeeds, WheelTicks
+from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement, WheelSpeeds, WheelTicks, Wrench
 from longreach.robot.description import Encoder, Lidar, RobotDescription
 
 Make = Callable[..., Any]
@@ -54,6 +54,15 @@ def imu(message: Any) -> Make | None:
         return None
     frame = frame_name(message.header.frame_id) or "imu"
     return partial(Imu, angular_velocity=np.array([w.x, w.y, w.z]), acceleration=np.array([a.x, a.y, a.z]), frame=frame)
+
+
+def wrench(message: Any) -> Make | None:
+    """Read a geometry_msgs/WrenchStamped."""
+    f, t = message.wrench.force, message.wrench.torque
+    if not math.isfinite(f.x + f.y + f.z + t.x + t.y + t.z):
+        return None
+    frame = frame_name(message.header.frame_id) or "wrench"
+    return partial(Wrench, force=np.array([f.x, f.y, f.z]), torque=np.array([t.x, t.y, t.z]), frame=frame)
 
 
 def odometry(message: Any) -> Make | None:

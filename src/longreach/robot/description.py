@@ -141,6 +141,7 @@ class Topics(_Described):
     truth: str | None = Field(default=None, description="Reference pose, for evaluation alone.")
     fixes: str | None = Field(default=None, description="Absolute poses of the base that may be fused.")
     joints: str | None = Field(default=None, description="JointState of the arm.")
+    wrench: str | None = Field(default=None, description="WrenchStamped of the sensor at the wrist.")
 
 
 class AttachedFrame(Mount):

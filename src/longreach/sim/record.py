@@ -1,18 +1,22 @@
 """Recordings of drives with physics, in the form that `longreach.sim.kinematic` gives: sensors, and the truth."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from longreach.control.hardware import Command
+from longreach.control.hardware import Command, Readings
 from longreach.errors import ConfigError
 from longreach.geometry import se2
 from longreach.measurement import Recording
-from longreach.robot.description import Mount
+from longreach.reference import Reference
+from longreach.robot.description import Mount, RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.drive import make_drive, middle, move
+from longreach.sim.motion import Truth
 from longreach.sim.physics import PhysicsConfig, Simulation
 from longreach.sim.worlds import load_world
 from longreach.trajectory import PoseTrajectory
@@ -39,20 +43,40 @@ def record(simulation: Simulation, twists: Callable[[float], Float[np.ndarray, "
     simulation.advance(_AFTER)
     readings.append(simulation.read())
     truths = [truth for truth in simulation.truths() if truth.stamp >= start]
-    description = simulation.robot.description
+    name = f"{simulation.world.name}-{simulation.world.friction:g}"
+    return recorded(readings, truths, name, simulation.robot.description)
+
+
+def recorded(
+    readings: Iterable[Readings], truths: Sequence[Truth], name: str, description: RobotDescription
+) -> Recording:
+    """Return all that was read of a robot as a recording, each sensor in the order of its stamps, with the truth."""
+    readings = list(readings)
     return Recording(
-        name=f"{simulation.world.name}-{simulation.world.friction:g}",
-        wheels=tuple(w for r in readings for w in r.wheels),
-        scans=tuple(s for r in readings for s in r.scans),
-        imu=tuple(m for r in readings for m in r.imu),
-        joints=tuple(j for r in readings for j in r.joints),
-        truth=PoseTrajectory(np.array([t.stamp for t in truths]), np.array([t.base for t in truths])),
+        name=name,
+        wheels=_in_order(r.wheels for r in readings),
+        scans=_in_order(r.scans for r in readings),
+        imu=_in_order(r.imu for r in readings),
+        joints=_in_order(r.joints for r in readings),
+        wrenches=_in_order(r.wrenches for r in readings),
+        truth=PoseTrajectory(np.array([t.stamp for t in truths]), np.array([t.base for t in truths]))
+        if truths
+        else None,
         mounts={
             sensor.frame: (sensor.mount or Mount()).matrix()
             for sensor in (description.lidar, description.imu)
             if sensor is not None and sensor.frame is not None
         },
     )
+
+
+def _in_order(records: Iterable[tuple[Any, ...]]) -> tuple[Any, ...]:
+    return tuple(sorted(chain.from_iterable(records), key=lambda record: record.stamp))
+
+
+def tool_truth(truths: Sequence[Truth]) -> Reference:
+    """Return where the tool was, T_world_tool over time."""
+    return Reference(np.array([t.stamp for t in truths]), tool=np.array([t.tool for t in truths]))
 
 
 def make_recording(
