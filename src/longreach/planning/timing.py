@@ -75,3 +75,31 @@ def _stretch(motion: Any, velocity: np.ndarray, acceleration: np.ndarray) -> flo
     speed = np.max(np.abs(motion(t, 1)) / velocity)
     force = np.max(np.abs(motion(t, 2)) / acceleration)
     return float(max(1.0, speed, np.sqrt(force)))
+
+
+def eased(trajectory: ConfigurationTrajectory, ramp: float = 1.0, rate: float = 50.0) -> ConfigurationTrajectory:
+    """Return the same path at the same pace, but from rest and to rest: a robot cannot start at full speed.
+
+    Within `ramp` [s] at either end the pace grows and falls without a jump of acceleration, so that the whole takes
+    `ramp` longer. rate: rows a second [Hz].
+
+    Raises:
+        PlanningError: a ramp that is not positive, or one row only.
+    """
+    from scipy.interpolate import CubicSpline  # here, for it takes a while to import
+
+    if not (0.0 < ramp < np.inf and 0.0 < rate < np.inf) or len(trajectory) < 2:
+        raise PlanningError("A trajectory is eased over a positive time, and has at least two rows.")
+    length = trajectory.duration
+    ramp = min(ramp, length)
+    path = CubicSpline(trajectory.stamps, trajectory.q)
+    t = np.linspace(0.0, length + ramp, int(np.ceil((length + ramp) * rate)) + 1)
+    up, down = np.minimum(t / ramp, 1.0), np.minimum((t[-1] - t) / ramp, 1.0)
+    # The pace is 3 u² - 2 u³ in a ramp, u its part; the integral of that is u³ - u⁴/2.
+    tau = ramp * (up**3 - up**4 / 2) + np.maximum(t - ramp, 0.0)
+    tau = np.where(t > length, length - ramp * (down**3 - down**4 / 2), tau)
+    pace = np.minimum(3 * up**2 - 2 * up**3, 3 * down**2 - 2 * down**3)
+    at = trajectory.stamps[0] + np.clip(tau, 0.0, length)
+    return ConfigurationTrajectory(
+        trajectory.stamps[0] + t, path(at), trajectory.joint_names, path(at, 1) * pace[:, None], trajectory.reports
+    )

@@ -1,0 +1,114 @@
+"""The estimate while the robot drives: what `estimate` does with a recording, reading by reading.
+
+The same sources through the same filter, so that a replay of what was read gives the same rows: a row is settled, and
+given out, once it is older than the filter's history, when nothing that comes late can change it any more.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.app.configuration import EstimateConfig, filter_for
+from longreach.app.estimate import sensor_mount
+from longreach.control.hardware import Readings
+from longreach.estimation import ekf, fusion
+from longreach.estimation.fusion import Anchor, Correction, Event, FusionState
+from longreach.estimation.gaussian import Belief
+from longreach.estimation.observation import planar_imu
+from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement, Wheels
+from longreach.odometry import range_flow
+from longreach.odometry.wheel import wheel_odometry
+from longreach.robot.description import RobotDescription
+
+_REMEMBERED = 12  # wheel records that the next one is seen with
+_HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizerState:
+    """What the sources and the filter remember; `carried_to`: the reading up to which a counter carries its anchor."""
+
+    robot: RobotDescription
+    config: EstimateConfig
+    filter: FusionState
+    start: float
+    wheels: tuple[Wheels, ...] = ()
+    lidar: range_flow.RangeFlowState | None = None
+    carried_to: float = -np.inf
+
+    def belief(self, now: float) -> Belief:
+        """Return what is believed at `now` [s], predicted from the newest measurement."""
+        newest = self.filter.history[-1]
+        mean, P, ahead = newest.mean, newest.P, now - newest.key[0]
+        if ahead > 0.0:
+            mean, P = ekf.predict(self.filter.config.motion, mean, P, ahead)  # (3.28)
+        return Belief(max(now, newest.key[0]), mean[:3], mean[3:6], mean[6:9], float(mean[9]), P[:10, :10])
+
+
+def init(
+    robot: RobotDescription, stamp: float, pose: Float[np.ndarray, "3"], config: EstimateConfig | None = None
+) -> LocalizerState:
+    """Start at rest at a pose [m, m, rad] that is known exactly, as a run defines its own frame."""
+    config = config or EstimateConfig()
+    sensors = Recording("live", imu=())
+    chosen = filter_for(config, robot, sensors)
+    gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
+    led = {} if "led_by_counter" in config.filter.model_fields_set else {"led_by_counter": (True, True, not gyro)}
+    chosen = chosen.model_copy(update={"history": _HISTORY, **led})
+    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp)
+
+
+def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, list[Correction]]:
+    """Take all that was read; what no source can use is refused by the filter, which says so."""
+    sources = state.config.sources or ("wheels", "lidar", "imu")
+    events: list[Event] = []
+    if "imu" in sources and state.robot.imu is not None:
+        noise = state.robot.imu
+        T = sensor_mount(_NOTHING, state.robot, "imu")
+        R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
+        events += [planar_imu(imu, T, *R) for imu in readings.imu]
+    if "wheels" in sources and readings.wheels:
+        state, measured = _wheels(state, readings.wheels)
+        events += measured
+    if "lidar" in sources:
+        for scan in readings.scans:
+            state, measured = _lidar(state, scan)
+            events += measured
+    corrections = []
+    fused = state.filter
+    for event in fusion.in_order(events):
+        fused, correction = fusion.step(fused, event)
+        corrections.append(correction)
+    return replace(state, filter=fused), corrections
+
+
+_NOTHING = Recording("live")
+
+
+def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[LocalizerState, list[Event]]:
+    """Turn new wheel records into steps of their counter, each seen with the records before it."""
+    known = state.wheels[-1].stamp if state.wheels else -np.inf
+    window = (*state.wheels, *(record for record in records if record.stamp > known))
+    events: list[Event] = []
+    carried_to = state.carried_to
+    for measurement in wheel_odometry(window, state.robot, state.config.wheels).measurements:
+        if measurement.stamp > known and measurement.stamp_reference >= state.start:
+            if measurement.stamp_reference != carried_to:
+                events.append(Anchor(measurement.stamp_reference, measurement.source))
+            events.append(measurement)
+            carried_to = -np.inf if measurement.reading_covariance is None else measurement.stamp
+    return replace(state, wheels=window[-_REMEMBERED:], carried_to=carried_to), events
+
+
+def _lidar(state: LocalizerState, scan: LaserScan) -> tuple[LocalizerState, list[Event]]:
+    """Match a scan; a first one is only remembered, one from before the start is not even that."""
+    if scan.stamp < state.start:
+        return state, []
+    mount, config = sensor_mount(_NOTHING, state.robot, "lidar"), state.config.range_flow
+    if state.lidar is None:
+        return replace(state, lidar=range_flow.init(scan, mount, config)), []
+    lidar, match = range_flow.step(state.lidar, scan, mount, config)
+    measured: RelativePoseMeasurement | None = match.measurement
+    events: list[Event] = [] if measured is None else [Anchor(measured.stamp_reference, measured.source), measured]
+    return replace(state, lidar=lidar), events

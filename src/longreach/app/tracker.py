@@ -1,0 +1,242 @@
+"""The loop that drives a robot along a plan: read, estimate, sample the plan, correct, guard, write.
+
+`step` is one tick and only computes; `run` is the loop around it, and the only one who speaks to the hardware. Nothing
+here knows who made the plan, or whether the robot is simulated.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.app import localizer
+from longreach.app.configuration import EstimateConfig
+from longreach.app.localizer import LocalizerState
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control import safety, ticker, whole_body
+from longreach.control.hardware import Command, Hardware, Readings
+from longreach.control.interpolation import sample
+from longreach.control.safety import SafetyState
+from longreach.control.safety_checks import Health, Innovation, Stop, places
+from longreach.control.safety_config import SafetyConfig, limits_of
+from longreach.control.ticker import Ticker
+from longreach.control.whole_body import WholeBodyConfig
+from longreach.errors import ControlError
+from longreach.estimation.fusion import Correction
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_WAIT_FOR_JOINTS = 2.0  # [s] until a robot says where its arm is
+
+
+class TrackerConfig(BaseModel):
+    """Settings of the loop and of what runs in it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    whole_body: WholeBodyConfig = WholeBodyConfig()
+    estimate: EstimateConfig = EstimateConfig()
+    safety: SafetyConfig = SafetyConfig()
+    before: float = Field(default=0.3, ge=0, description="The robot stands before the plan begins [s]; ours.")
+    after: float = Field(default=0.5, ge=0, description="And after it has ended [s]; ours.")
+
+
+class Tick(NamedTuple):
+    """What one tick knew and did; q_reference (n,) of the plan, q (n,) as estimated, base first, both at `stamp` [s].
+
+    covariance (3, 3) of the base's ξ; command: what left the gate; stop: why it stopped the robot, or None.
+    """
+
+    stamp: float
+    q_reference: np.ndarray
+    q: np.ndarray
+    covariance: np.ndarray
+    command: Command
+    stop: Stop | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerState:
+    """The loop's memory; `at`: how much of the plan's time has passed [s], negative before it begins."""
+
+    robot: MobileManipulator
+    config: TrackerConfig
+    plan: ConfigurationTrajectory
+    stamp: float
+    at: float
+    arm: Float[np.ndarray, " m"]
+    localizer: LocalizerState
+    gate: SafetyState
+    base_period: float
+    base_due: float
+
+    @property
+    def ended(self) -> bool:
+        """Whether the plan, and the rest after it, is over."""
+        return self.at > self.plan.duration + self.config.after
+
+
+def init(
+    robot: MobileManipulator,
+    hardware: Hardware,
+    plan: ConfigurationTrajectory,
+    q: Float[np.ndarray, " n"],
+    now: float,
+    config: TrackerConfig | None = None,
+) -> TrackerState:
+    """Start at rest at q (n,), base first: where the run's own frame says that the robot is.
+
+    Raises:
+        ControlError: the plan is of other joints than the robot's, or does not begin near q.
+    """
+    config, promises = config or TrackerConfig(), hardware.promises
+    if plan.q.shape[1] != robot.dof:
+        raise ControlError(f"The plan is of {plan.q.shape[1]} joints, but {robot.name} has {robot.dof}.")
+    away = float(np.abs(plan.q[0] - q).max())
+    if away > config.safety.position_lag:
+        raise ControlError(f"The plan begins {away:.2f} rad or m away from where the robot is; plan from there.")
+    gate = safety.init(limits_of(promises, config.safety), now, q[robot.arm])
+    where = localizer.init(robot.description, now, q[robot.base], config.estimate)
+    return TrackerState(
+        robot, config, plan, now, -config.before, q[robot.arm], where, gate, 1.0 / promises.base_rate, now
+    )
+
+
+def step(
+    state: TrackerState, readings: Readings, heartbeat: float | None = None
+) -> tuple[TrackerState, Command, Tick]:
+    """Return what may be sent at `readings.stamp`, and what it was made of; heartbeat: when the client was heard."""
+    now, robot, config = readings.stamp, state.robot, state.config
+    where, corrections = localizer.step(state.localizer, readings)  # estimate
+    belief = where.belief(now)
+    arm = _arm(state, readings)
+    q = np.concatenate([belief.pose, arm])
+
+    # The plan's clock stands while the gate stops the robot: afterwards it goes on from there.
+    at = state.at + (now - state.stamp if state.gate.stop is None else 0.0)
+    q_reference, velocity, _ = sample(state.plan, float(state.plan.stamps[0]) + at)  # sample the plan
+    wish = whole_body.step(robot, config.whole_body, q, whole_body.Reference(q_reference, velocity))  # correct
+
+    health = Health(tuple(_innovation(c) for c in corrections if c.dof or c.status == "refused"), heartbeat)
+    gate, command = safety.step(state.gate, Command(now, wish.arm, "velocity", wish.base), readings, health, now)  # guard
+    due = now > state.base_due - 1e-6
+    if not due:
+        command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
+    base_due = max(state.base_due + state.base_period, now) if due else state.base_due
+    tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop)
+    after = replace(state, stamp=now, at=at, arm=arm, localizer=where, gate=gate, base_due=base_due)
+    return after, command, tick
+
+
+def _arm(state: TrackerState, readings: Readings) -> np.ndarray:
+    """Return where the arm's joints are (m,), carried on from the newest joint state to now."""
+    names = state.robot.joint_names[state.robot.arm]
+    for record in reversed(readings.joints):
+        where = places(record.names, names)
+        if where is not None and np.isfinite(record.position[where]).all():
+            q = record.position[where]
+            ahead = readings.stamp - record.stamp
+            if len(record.velocity) == len(record.names) and 0.0 < ahead < 0.1:
+                q = q + ahead * np.nan_to_num(record.velocity[where])
+            return q
+    return state.arm + state.gate.velocity * (readings.stamp - state.stamp)
+
+
+def _innovation(correction: Correction) -> Innovation:
+    """Return what the gate is told of a correction; what was refused is as far off as can be."""
+    if correction.status == "refused":
+        return Innovation(correction.source, math.inf, 1)
+    return Innovation(correction.source, correction.nis, correction.dof)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What came of a run: its ticks and readings, the state at its end, and how late and how long each tick was.
+
+    reason: why it ended before the plan did; empty where it did not.
+    """
+
+    ticks: Sequence[Tick]
+    readings: Sequence[Readings]
+    state: TrackerState
+    ticker: Ticker
+    reason: str
+
+
+def run(
+    hardware: Hardware,
+    wait_until: Callable[[float], None],
+    robot: MobileManipulator,
+    plan: ConfigurationTrajectory,
+    base: Float[np.ndarray, "3"],
+    config: TrackerConfig | None = None,
+    watch: Callable[[Tick, float], None] | None = None,
+) -> Run:
+    """Drive a robot along a plan, and stop it when the plan has ended or whatever else ends the run.
+
+    Arguments:
+        wait_until: returns at a time of the hardware's clock [s]; a simulation's lets that time pass.
+        base: where the base is at the start [m, m, rad], in the plan's frame.
+        watch: called after each tick with it and how much of the plan is done, 0 to 1.
+
+    Raises:
+        ControlError: the robot does not say where its arm is, or the plan does not begin there.
+    """
+    kept, arm = _first_readings(hardware, wait_until, robot)
+    now = kept[-1].stamp
+    state = init(robot, hardware, plan, np.concatenate([base, arm]), now, config)
+    state = replace(state, localizer=localizer.step(state.localizer, _merged(kept))[0])
+    rhythm = ticker.init(1.0 / hardware.promises.arm_rate, now)
+    ticks: list[Tick] = []
+    reason = "interrupted"
+    try:
+        while not state.ended:
+            wait_until(rhythm.due)
+            readings = hardware.read()
+            rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
+            state, command, tick = step(state, readings)
+            hardware.write(command)
+            rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, time.perf_counter() - began))
+            ticks.append(tick)
+            kept.append(readings)
+            if watch is not None:
+                watch(tick, min(max(state.at / plan.duration, 0.0), 1.0) if plan.duration else 1.0)
+            if tick.stop is not None and tick.stop.latched:
+                break
+        reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
+    finally:
+        hardware.stop(reason or "The plan has ended.")
+    return Run(ticks, kept, state, rhythm, reason)
+
+
+def _first_readings(
+    hardware: Hardware, wait_until: Callable[[float], None], robot: MobileManipulator
+) -> tuple[list[Readings], np.ndarray]:
+    """Read until the robot says where its arm is; return what was read, and the arm's joints (m,)."""
+    names = robot.joint_names[robot.arm]
+    kept = [hardware.read()]
+    until = kept[0].stamp + _WAIT_FOR_JOINTS
+    while True:
+        for record in reversed(kept[-1].joints):
+            where = places(record.names, names)
+            if where is not None and np.isfinite(record.position[where]).all():
+                return kept, record.position[where]
+        if kept[-1].stamp > until:
+            raise ControlError(
+                f"The robot has not said in {_WAIT_FOR_JOINTS:g} s where its arm is; it must publish {', '.join(names)}."
+            )
+        wait_until(kept[-1].stamp + 1.0 / hardware.promises.arm_rate)
+        kept.append(hardware.read())
+
+
+def _merged(kept: Sequence[Readings]) -> Readings:
+    """Return several readings as one."""
+    together = {
+        name: tuple(record for readings in kept for record in getattr(readings, name))
+        for name in ("wheels", "scans", "imu", "joints", "wrenches")
+    }
+    return replace(kept[-1], **together)
