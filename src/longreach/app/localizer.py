@@ -5,6 +5,7 @@ given out, once it is older than the filter's history, when nothing that comes l
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,14 @@ from longreach.robot.description import RobotDescription
 
 _REMEMBERED = 12  # wheel records that the next one is seen with
 _HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
+
+
+class Row(NamedTuple):
+    """The estimate right after all that was measured up to a stamp [s]: pose (3,) and covariance (3, 3) of ξ."""
+
+    stamp: float
+    pose: np.ndarray
+    covariance: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +93,17 @@ def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, lis
 
 
 _NOTHING = Recording("live")
+
+
+def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
+    """Return the rows that a step has settled, oldest first; after it has ended (None), all that are left."""
+    oldest = np.inf if after is None else after.filter.history[0].key[0]
+    rows: dict[float, Row] = {}
+    for snapshot in before.filter.history:
+        stamp = snapshot.key[0]
+        if stamp < oldest and snapshot.event is not None:
+            rows[stamp] = Row(stamp, snapshot.mean[:3], snapshot.P[:3, :3].copy())
+    return list(rows.values())
 
 
 def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[LocalizerState, list[Event]]:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app import localizer
 from longreach.app.configuration import EstimateConfig
-from longreach.app.localizer import LocalizerState
+from longreach.app.localizer import LocalizerState, Row
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import safety, ticker, whole_body
 from longreach.control.hardware import Command, Hardware, Readings
@@ -155,14 +155,15 @@ def _innovation(correction: Correction) -> Innovation:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What came of a run: its ticks and readings, the state at its end, and how late and how long each tick was.
+    """What came of a run: its ticks and readings, and how late and how long each tick was.
 
+    rows: the estimate at each stamp with all that was measured up to then, what came late included.
     reason: why it ended before the plan did; empty where it did not.
     """
 
     ticks: Sequence[Tick]
     readings: Sequence[Readings]
-    state: TrackerState
+    rows: Sequence[Row]
     ticker: Ticker
     reason: str
 
@@ -189,18 +190,21 @@ def run(
     kept, arm = _first_readings(hardware, wait_until, robot)
     now = kept[-1].stamp
     state = init(robot, hardware, plan, np.concatenate([base, arm]), now, config)
-    state = replace(state, localizer=localizer.step(state.localizer, _merged(kept))[0])
+    state = replace(state, localizer=_begun(state.localizer, _merged(kept)))
     rhythm = ticker.init(1.0 / hardware.promises.arm_rate, now)
     ticks: list[Tick] = []
+    rows: list[Row] = []
     reason = "interrupted"
     try:
         while not state.ended:
             wait_until(rhythm.due)
             readings = hardware.read()
             rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
+            before = state.localizer
             state, command, tick = step(state, readings)
             hardware.write(command)
             rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, time.perf_counter() - began))
+            rows += localizer.settled(before, state.localizer)
             ticks.append(tick)
             kept.append(readings)
             if watch is not None:
@@ -210,7 +214,7 @@ def run(
         reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
     finally:
         hardware.stop(reason or "The plan has ended.")
-    return Run(ticks, kept, state, rhythm, reason)
+    return Run(ticks, kept, [*rows, *localizer.settled(state.localizer, None)], rhythm, reason)
 
 
 def _first_readings(
@@ -231,6 +235,13 @@ def _first_readings(
             )
         wait_until(kept[-1].stamp + 1.0 / hardware.promises.arm_rate)
         kept.append(hardware.read())
+
+
+def _begun(where: LocalizerState, first: Readings) -> LocalizerState:
+    """Return the localizer with the first readings in it: it begins with the oldest of them, the robot at rest."""
+    stamps = [record.stamp for kind in (first.wheels, first.scans, first.imu) for record in kind]
+    begin = min(stamps, default=first.stamp)
+    return localizer.step(localizer.init(where.robot, begin, where.filter.belief.pose, where.config), first)[0]
 
 
 def _merged(kept: Sequence[Readings]) -> Readings:

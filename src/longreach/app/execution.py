@@ -1,0 +1,118 @@
+"""A plan executed by a simulated robot, recorded, and held against what really happened."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.app.configuration import EvaluationConfig
+from longreach.app.estimate import Estimate, estimate
+from longreach.app.tracker import Run, Tick, TrackerConfig, run
+from longreach.configuration import ConfigurationTrajectory
+from longreach.estimation.tool_state import tool_state
+from longreach.evaluation.execution import Traces
+from longreach.evaluation.tables import Metric, metric
+from longreach.measurement import Recording
+from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim.motion import Truth
+from longreach.sim.physics import Simulation
+from longreach.sim.record import recorded
+
+Progress = Callable[[str, float], None]
+
+
+class ExecutionConfig(BaseModel):
+    """Where and how a plan is executed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seed: int = Field(default=0, ge=0, description="Of everything random.")
+    world: str = Field(default="laboratory", description="A shipped world, or a YAML file.")
+    floor: str | float | None = Field(default=None, description="good, worn, wet, slippery, a friction; null: the world's.")
+    tracker: TrackerConfig = TrackerConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """What was done: the plan, the run, its recording, what `estimate` makes of that, and the traces of tool and base."""
+
+    robot: MobileManipulator
+    plan: ConfigurationTrajectory
+    run: Run
+    recording: Recording
+    truths: list[Truth]
+    estimate: Estimate
+    traces: Traces
+
+
+def execute(
+    robot: MobileManipulator, plan: ConfigurationTrajectory, config: ExecutionConfig, progress: Progress | None = None
+) -> Execution:
+    """Drive the simulated robot along the plan, from the plan's first row; the truth is for comparison alone."""
+    tell = progress or (lambda stage, fraction: None)
+    q = plan.q[0]
+    simulation = Simulation(robot, config.world, seed=config.seed, floor=config.floor, q=q)
+    loop = config.tracker.whole_body.loop
+    done = run(
+        simulation,
+        lambda stamp: simulation.advance(max(stamp - simulation.stamp, 0.0)),
+        robot,
+        plan,
+        q[robot.base],
+        config.tracker,
+        lambda tick, part: tell(f"driving, {loop} loop", part),
+    )
+    truths = simulation.truths()
+    recording = recorded(done.readings, truths, f"{simulation.world.name}-{config.seed}", robot.description)
+    settings = config.tracker.estimate.model_copy(update={"evaluation": EvaluationConfig(align="none")})
+    replayed = estimate(recording, robot, settings, progress=tell)
+    return Execution(robot, plan, done, recording, truths, replayed, _traces(robot, done, truths))
+
+
+def _traces(robot: MobileManipulator, done: Run, truths: list[Truth]) -> Traces:
+    """Return all at the stamps of the truth, between the first tick and the last."""
+    t = np.array([tick.stamp for tick in done.ticks])
+    known = [truth for truth in truths if t[0] <= truth.stamp <= t[-1]]
+    stamps = np.array([truth.stamp for truth in known])
+    q_reference = _at(stamps, t, np.array([tick.q_reference for tick in done.ticks]), robot)
+    q = _at(stamps, t, np.array([tick.q for tick in done.ticks]), robot)
+    P = np.array([_nearest(done.ticks, t, stamp).covariance for stamp in stamps.tolist()])
+    T, J = robot.forward_and_jacobian_batch(q)
+    spread = [tool_state(q[i, :3], P[i], T[i], J[i]).covariance for i in range(len(q))]
+    return Traces(
+        stamps,
+        robot.forward(q_reference),
+        T,
+        np.array([truth.tool for truth in known]),
+        q_reference[:, robot.base],
+        q[:, robot.base],
+        np.array([truth.base for truth in known]),
+        np.array(spread),
+        P,
+    )
+
+
+def _at(stamps: np.ndarray, t: np.ndarray, q: np.ndarray, robot: MobileManipulator) -> np.ndarray:
+    """Return configurations between the ticks'."""
+    q = q.copy()
+    q[:, 2] = np.unwrap(q[:, 2])
+    return np.stack([np.interp(stamps, t, column) for column in q.T], axis=1)
+
+
+def _nearest(ticks, t: np.ndarray, stamp: float) -> Tick:
+    return ticks[min(int(np.searchsorted(t, stamp)), len(t) - 1)]
+
+
+def loop_metrics(execution: Execution) -> dict[str, Metric]:
+    """Return how fast the loop was, and how far the estimate of the run is from the replay of its recording."""
+    busy, fused = execution.run.ticker.busy, execution.estimate.trajectories["fused"]
+    row_of = {row.stamp: row.pose for row in execution.run.rows}
+    apart = [np.abs(row_of[s] - pose).max() for s, pose in zip(fused.stamps.tolist(), fused.poses, strict=True) if s in row_of]
+    return {
+        "tick_median": metric(1e3 * busy.percentile(50), "ms"),
+        "tick_p99": metric(1e3 * busy.percentile(99), "ms"),
+        "ticks": metric(execution.run.ticker.ticks, ""),
+        "late_ticks": metric(execution.run.ticker.late, ""),
+        "replay_difference_max": metric(float(max(apart, default=np.nan)), "m"),
+    }
