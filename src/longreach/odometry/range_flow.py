@@ -11,7 +11,6 @@ approach" (the thesis' (3.24)–(3.26)). Where ours differs from its authors' im
 * the result is the base's motion, v_y included.
 """
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,13 +19,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.errors import EstimationError
-from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import _pyramid_kernels, _range_flow_kernels
+from longreach.odometry.scan_geometry import FEWEST_BEAMS, ScanGeometry, same_kind, scan_geometry, share_of_a_beam
+from longreach.odometry.scan_match import ScanMatch
 
-_LONGEST_SWEEP = 1.5  # of the time between scans; a sweep that claims to last longer has a wrong time_increment
-_FEWEST_BEAMS = 8  # of a scan
 _FEWEST_ROWS = 12  # fewer beams seen in both scans than this do not make a match
 
 
@@ -77,21 +74,6 @@ class RangeFlowConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class ScanGeometry:
-    """The tables of one kind of scan: beam angles a level, and where the laser sits in the base."""
-
-    beams: int
-    angle_min: float
-    angle_increment: float
-    flipped: bool
-    pose_base_laser: Float[np.ndarray, "3"]
-    start: np.ndarray
-    cos: Float[np.ndarray, " total"]
-    sin: Float[np.ndarray, " total"]
-    increments: Float[np.ndarray, " levels"]
-
-
-@dataclass(frozen=True, eq=False)
 class RangeFlowState:
     """The last scan's pyramid, the last motion of the laser (a twist per scan), and its running mean."""
 
@@ -99,59 +81,6 @@ class RangeFlowState:
     geometry: ScanGeometry
     pyramid: Float[np.ndarray, " total"]
     motion: Float[np.ndarray, "2 3"]
-
-
-@dataclass(frozen=True, eq=False)
-class ScanMatch:
-    """What one scan gave: the base's pose relative to the reference scan, or None and the reason why not."""
-
-    stamp: float
-    measurement: RelativePoseMeasurement | None
-    reason: str
-    rows: int
-
-    @property
-    def twist(self) -> Float[np.ndarray, "3"] | None:
-        """Mean body twist of the base [m/s, m/s, rad/s] between the two scans."""
-        if self.measurement is None or not self.stamp > self.measurement.stamp_reference:
-            return None
-        return se2.log(self.measurement.pose) / (self.stamp - self.measurement.stamp_reference)
-
-
-def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], levels: int) -> ScanGeometry:
-    """Make the tables for scans like this one, from a laser mounted at T_base_laser.
-
-    A laser upside down, or one that counts its beams clockwise, is turned into one that counts counter-clockwise.
-
-    Raises:
-        EstimationError: the laser's plane is tilted by more than 15° against the floor, or it has fewer than 8 beams.
-    """
-    tilt = math.degrees(math.acos(min(1.0, abs(T_base_laser[2, 2]))))
-    if tilt > 15.0:
-        raise EstimationError(f"The LIDAR is tilted by {tilt:.0f}° against the floor; planar odometry bears up to 15°.")
-    beams = len(scan.ranges)
-    if beams < _FEWEST_BEAMS:
-        raise EstimationError(f"A scan has {beams} beams; LIDAR odometry needs at least {_FEWEST_BEAMS}.")
-    sense = 1.0 if T_base_laser[2, 2] > 0 else -1.0
-    first, increment = sense * scan.angle_min, sense * scan.angle_increment
-    flipped = bool(increment < 0)
-    if flipped:
-        first, increment = first + (beams - 1) * increment, -increment
-    sizes = [beams]
-    while len(sizes) < levels and sizes[-1] >= 16:
-        sizes.append((sizes[-1] + 1) // 2)
-    angles = np.concatenate([first + increment * 2**level * np.arange(n) for level, n in enumerate(sizes)])
-    return ScanGeometry(
-        beams=beams,
-        angle_min=scan.angle_min,
-        angle_increment=scan.angle_increment,
-        flipped=flipped,
-        pose_base_laser=se2.from_se3(T_base_laser),
-        start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        cos=np.cos(angles),
-        sin=np.sin(angles),
-        increments=increment * 2.0 ** np.arange(len(sizes)),
-    )
 
 
 def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeFlowConfig) -> RangeFlowState:
@@ -164,21 +93,6 @@ def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeF
     return RangeFlowState(scan.stamp, geometry, pyramid, np.zeros((2, 3)))
 
 
-def _same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
-    return (
-        len(scan.ranges) == geometry.beams
-        and abs(scan.angle_min - geometry.angle_min) < 1e-6
-        and abs(scan.angle_increment - geometry.angle_increment) < 1e-9
-    )
-
-
-def _share(state: RangeFlowState, scan: LaserScan) -> float:
-    """Return which part of the motion between the two scans goes by from one beam to the next; 0 for an instant."""
-    period = scan.stamp - state.stamp
-    share = scan.time_increment / period if period > 0 else 0.0
-    return share if 0.0 < share * len(scan.ranges) <= _LONGEST_SWEEP else 0.0
-
-
 def step(
     state: RangeFlowState, scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeFlowConfig
 ) -> tuple[RangeFlowState, ScanMatch]:
@@ -188,10 +102,10 @@ def step(
     covariance (3, 3) of ξ = log(pose⁻¹ · truth). A scan of another kind (number of beams, angles) starts anew, one
     of fewer than 8 beams is passed over.
     """
-    if len(scan.ranges) < _FEWEST_BEAMS:
-        reason = f"the scan has {len(scan.ranges)} beams, where at least {_FEWEST_BEAMS} are needed"
+    if len(scan.ranges) < FEWEST_BEAMS:
+        reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
-    if not _same_kind(scan, state.geometry):
+    if not same_kind(scan, state.geometry):
         reason = f"the scan has {len(scan.ranges)} beams and other angles than the last one"
         return init(scan, T_base_laser, config), ScanMatch(scan.stamp, None, reason, 0)
     g = state.geometry
@@ -202,7 +116,7 @@ def step(
         float(scan.range_min),
         float(scan.range_max),
         g.flipped,
-        _share(state, scan),
+        share_of_a_beam(scan, scan.stamp - state.stamp),
         state.pyramid,
         pyramid,
         g.start,

@@ -1,0 +1,151 @@
+"""Compiled lines of a scan: a straight line through the neighbours of each beam, as long as the data allow.
+
+On a straight line the inverse range is linear in the beam's direction, 1/r = m · d with m = n/ρ, and the noise of a
+range stays on its own side of the equation: unlike a line through points, the fit does not lean with the noise.
+"""
+
+import math
+
+import numpy as np
+
+from longreach.geometry._kernels import se2_exp
+from longreach.kernels import kernel
+
+_WIDTHS = (16, 8, 4, 2, 1)  # half widths of the windows tried [beams]
+_STEEPEST = 0.1  # variance of a line's direction [rad²] above which it is none
+
+
+@kernel
+def scan_points(ranges, low, high, flipped, cos, sin, motion, share, x, y, r):
+    """Fill x, y, r (n,) with the points of a scan, counter-clockwise, r = 0 where there was no return (REP-117).
+
+    motion (3,): the laser's twist from scan to scan, share: the part of it that goes by from beam to beam; a point is
+    carried to where the sweep began. Returns the number of points.
+    """
+    n, found = len(ranges), 0
+    for u in range(n):
+        i = n - 1 - u if flipped else u
+        value = float(ranges[i])
+        if not (value > 0.0 and value >= low and value <= high and value < math.inf):
+            x[u], y[u], r[u] = 0.0, 0.0, 0.0
+            continue
+        found += 1
+        x[u], y[u], r[u] = value * cos[u], value * sin[u], value
+        if share > 0.0:
+            part = share * i
+            dx, dy, dt = se2_exp(part * motion[0], part * motion[1], part * motion[2])
+            c, s = math.cos(dt), math.sin(dt)
+            x[u], y[u] = c * x[u] - s * y[u] + dx, s * x[u] + c * y[u] + dy
+            r[u] = math.sqrt(x[u] * x[u] + y[u] * y[u])
+    return found
+
+
+@kernel
+def range_noise(x, y, r, space):
+    """Deviation σ̂ [m] of the ranges: how far a beam lies from the line through its two neighbours, by the median."""
+    n, m = len(r), 0
+    for u in range(1, n - 1):
+        if r[u - 1] <= 0.0 or r[u] <= 0.0 or r[u + 1] <= 0.0:
+            continue
+        # weights with which the neighbours' inverse ranges make that of the beam: d_u = a d_{u-1} + b d_{u+1}
+        whole = (x[u - 1] * y[u + 1] - y[u - 1] * x[u + 1]) / (r[u - 1] * r[u + 1])
+        a = (x[u] * y[u + 1] - y[u] * x[u + 1]) / (r[u] * r[u + 1] * whole + 1e-300)
+        b = (x[u - 1] * y[u] - y[u - 1] * x[u]) / (r[u - 1] * r[u] * whole + 1e-300)
+        off = 1.0 / r[u] - a / r[u - 1] - b / r[u + 1]
+        space[m] = abs(off) * r[u] * r[u] / math.sqrt(1.0 + a * a + b * b)
+        m += 1
+    return 1.4826 * np.median(space[:m]) if m > 0 else 0.0
+
+
+@kernel
+def _window(sums, lo, hi, r):
+    """Least squares 1/r = m · d over beams lo..hi-1: m, M⁻¹ (three numbers), the variance of r, the count."""
+    count = sums[0, hi] - sums[0, lo]
+    if count < 3.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, count
+    cc, cs, ss = sums[1, hi] - sums[1, lo], sums[2, hi] - sums[2, lo], sums[3, hi] - sums[3, lo]
+    ic, si, ii = sums[4, hi] - sums[4, lo], sums[5, hi] - sums[5, lo], sums[6, hi] - sums[6, lo]
+    det = cc * ss - cs * cs
+    if det <= 1e-12 * count * count:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, count
+    i00, i01, i11 = ss / det, -cs / det, cc / det
+    mx, my = i00 * ic + i01 * si, i01 * ic + i11 * si
+    variance = max(ii - mx * ic - my * si, 0.0) / (count - 2.0) * r**4
+    return mx, my, i00, i01, i11, variance, count
+
+
+@kernel
+def _prefix_sums(x, y, r, sums):
+    for k in range(7):
+        sums[k, 0] = 0.0
+    for u in range(len(r)):
+        for k in range(7):
+            sums[k, u + 1] = sums[k, u]
+        if r[u] > 0.0:
+            i = 1.0 / r[u]
+            c, s = x[u] * i, y[u] * i
+            sums[0, u + 1] += 1.0
+            sums[1, u + 1] += c * c
+            sums[2, u + 1] += c * s
+            sums[3, u + 1] += s * s
+            sums[4, u + 1] += i * c
+            sums[5, u + 1] += i * s
+            sums[6, u + 1] += i * i
+
+
+@kernel
+def fit_lines(x, y, r, sigma, lines):
+    """Fill lines (n, 5): normal n_x, n_y, distance ρ (0: no line), and the variances of range and direction over σ².
+
+    Of the windows that hold the beam, centred or shifted by up to half their width, the widest is taken whose residuals
+    are no larger than the noise σ; of equally wide ones that which fits best, so that corners stay sharp.
+    """
+    n = len(r)
+    sums = np.empty((7, n + 1))
+    _prefix_sums(x, y, r, sums)
+    for u in range(n):
+        lines[u, 2] = 0.0
+        if r[u] <= 0.0:
+            continue
+        for half in _WIDTHS:
+            least = math.inf
+            shift_step = max(half // 2, 1)
+            for shift in range(-half, half + 1, shift_step):
+                centre = u + shift
+                lo, hi = centre - half, centre + half + 1
+                if lo < 0 or hi > n:
+                    continue
+                mx, my, i00, i01, i11, variance, count = _window(sums, lo, hi, r[u])
+                spread = math.sqrt(2.0 / max(count - 2.0, 1.0))
+                if count < half + 2 or variance > sigma * sigma * (1.0 + 2.0 * spread) + 1e-10:
+                    continue
+                score = variance * (1.0 + (0.5 * spread if shift != 0 else 0.0))
+                size = math.hypot(mx, my)
+                if score >= least or size <= 0.0:
+                    continue
+                c, s = x[u] / r[u], y[u] / r[u]
+                nx, ny = mx / size, my / size
+                tilt = (ny * ny * i00 - 2.0 * nx * ny * i01 + nx * nx * i11) / (size * size * r[u] ** 4)
+                if tilt * sigma * sigma > _STEEPEST:
+                    continue
+                least = score
+                lines[u, 0], lines[u, 1], lines[u, 2] = nx, ny, 1.0 / size
+                lines[u, 3] = c * c * i00 + 2.0 * c * s * i01 + s * s * i11
+                lines[u, 4] = tilt
+            if least < math.inf:
+                break
+
+
+@kernel
+def beams_by_direction(x, y, r, cos, sin, increment, beams):
+    """Fill beams (n,): which point lies in the direction of each beam, as a sweep in motion sees them elsewhere."""
+    n = len(r)
+    for u in range(n):
+        beams[u] = u
+    for u in range(n):
+        if r[u] <= 0.0:
+            continue
+        off = (cos[u] * y[u] - sin[u] * x[u]) / (r[u] * increment)  # in beams; small, so sine for angle
+        v = math.floor(u + off + 0.5)
+        if 0 <= v < n and v != u:
+            beams[v] = u

@@ -1,0 +1,268 @@
+"""Compiled point-to-line matching: the points of a scan against the lines of a keyframe, with its covariance.
+
+ξ is the error of the laser's pose in its own frame. To be compared with metres, θ is counted times the scan's reach.
+"""
+
+import math
+from collections import namedtuple
+
+import numpy as np
+
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp
+from longreach.kernels import kernel
+from longreach.odometry._eigen_kernels import symmetric_eigen
+from longreach.odometry._pyramid_kernels import _atan_ratio
+
+LineSettings = namedtuple("LineSettings", "iterations gate grazing floor known common")
+ROWS = 9  # numbers kept of a matched point
+
+
+@kernel
+def line_rows(x, y, r, cos, sin, increment, beams, lines, pose, grazing, rows):
+    """Fill rows (9, m) of the points that fall on a line of the keyframe, and return m.
+
+    pose (3,): of the laser, seen from the keyframe. beams (n,): which line lies in each direction. A row is the
+    derivative a (3,) of the distance e from the line, e, its weight 1/variance over σ², the share of the keyframe's
+    noise in the variance of what is estimated, the lever about the line's direction and the variance of that over σ².
+    """
+    n, m = len(r), 0
+    px, py, ct, st = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    for u in range(n):
+        if r[u] <= 0.0:
+            continue
+        rx, ry = ct * x[u] - st * y[u], st * x[u] + ct * y[u]
+        qx, qy = rx + px, ry + py
+        position = u + _atan_ratio(cos[u] * qy - sin[u] * qx, cos[u] * qx + sin[u] * qy) / increment
+        v = int(position + 0.5)
+        if position < -0.5 or v >= n:
+            continue
+        v = beams[v]
+        if lines[v, 2] <= 0.0:
+            continue
+        nx, ny, rho = lines[v, 0], lines[v, 1], lines[v, 2]
+        q2 = qx * qx + qy * qy
+        depth = nx * rx + ny * ry
+        incidence = depth / r[u]  # cosine of it; of the keyframe's beam squared:
+        incidence2 = rho * rho / q2
+        own = incidence * incidence + grazing * grazing
+        rows[0, m] = nx * ct + ny * st
+        rows[1, m] = ny * ct - nx * st
+        rows[2, m] = ny * rx - nx * ry
+        rows[3, m] = nx * qx + ny * qy - rho
+        rows[4, m] = 1.0 / (own + lines[v, 3] * incidence2)
+        # a line's error is that of its beams, which may lie closer on the surface than the new ones, or less close
+        rows[5, m] = (incidence2 + grazing * grazing) / own * abs(incidence) * q2 / (r[u] * rho)
+        rows[6, m] = depth
+        rows[7, m] = lines[v, 4]
+        m += 1
+    return m
+
+
+@kernel
+def robust_scale(rows, m, space):
+    """1.4826 times the median of the residuals, each over its own deviation: their σ where most of them are good."""
+    step = max(m // 300, 1)
+    k = 0
+    for i in range(0, m, step):
+        space[k] = abs(rows[3, i]) * math.sqrt(rows[4, i])
+        k += 1
+    return 1.4826 * np.median(space[:k])
+
+
+@kernel(fastmath=True)
+def normal_equations(rows, m, limit, reach, H):
+    """Fill H (3, 3) with Σ w a aᵀ and return -Σ w a e and Σ (1 - z): w falls from 1/variance to 0 at z = 1. (3.25)"""
+    h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = total = 0.0
+    scale = 1.0 / reach
+    for i in range(m):
+        e, w = rows[3, i], rows[4, i]
+        share = max(1.0 - e * e * w * limit, 0.0)
+        w *= share
+        total += share
+        a0, a1, a2 = rows[0, i], rows[1, i], scale * rows[2, i]
+        h00 += w * a0 * a0
+        h01 += w * a0 * a1
+        h02 += w * a0 * a2
+        h11 += w * a1 * a1
+        h12 += w * a1 * a2
+        h22 += w * a2 * a2
+        g0 += w * a0 * e
+        g1 += w * a1 * e
+        g2 += w * a2 * e
+    H[0, 0], H[0, 1], H[0, 2] = h00, h01, h02
+    H[1, 0], H[1, 1], H[1, 2] = h01, h11, h12
+    H[2, 0], H[2, 1], H[2, 2] = h02, h12, h22
+    return -g0, -g1, -g2, total
+
+
+@kernel(fastmath=True)
+def untold(rows, m, limit, reach, scale, known, H, V, told):
+    """Fill told (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
+
+    Errors of the lines' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
+    A direction is told where H is more than `known` times what it would be from these errors alone.
+    """
+    f = np.zeros(3)
+    for i in range(m):
+        e, w = rows[3, i], rows[4, i]
+        w *= max(1.0 - e * e * w * limit, 0.0) * rows[7, i]
+        t0, t1, t2 = -rows[1, i], rows[0, i], rows[6, i] / reach
+        for k in range(3):
+            along = t0 * V[0, k] + t1 * V[1, k] + t2 * V[2, k]
+            f[k] += w * along * along
+    largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
+    for k in range(3):
+        told[k] = 1.0 if H[k, k] > known * f[k] * scale * scale + 1e-4 * largest else 0.0
+
+
+@kernel
+def align(x, y, r, cos, sin, increment, beams, lines, reach, settings, pose, rows, space, H, V, told):
+    """Move the laser's pose (3,) until the points lie on the lines; leave H diagonal in its eigenbasis V.
+
+    Along directions that are not told the pose stays where it was put. Returns the rows, the scale of the residuals
+    and the sum of the robust weights.
+    """
+    m, scale, total = 0, 0.0, 0.0
+    told[:] = 1.0
+    for iteration in range(settings.iterations):
+        m = line_rows(x, y, r, cos, sin, increment, beams, lines, pose, settings.grazing, rows)
+        if m < 6:
+            return m, 0.0, 0.0
+        scale = max(robust_scale(rows, m, space), settings.floor)
+        limit = 1.0 / (settings.gate * scale) ** 2
+        g0, g1, g2, total = normal_equations(rows, m, limit, reach, H)
+        symmetric_eigen(H, V)
+        untold(rows, m, limit, reach, scale, settings.known, H, V, told)
+        d0 = d1 = d2 = 0.0
+        for k in range(3):
+            if told[k] > 0.0:
+                along = (V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2) / H[k, k]
+                d0 += V[0, k] * along
+                d1 += V[1, k] * along
+                d2 += V[2, k] * along
+        dx, dy, dt = se2_exp(d0, d1, d2 / reach)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        pose[0] += c * dx - s * dy
+        pose[1] += s * dx + c * dy
+        pose[2] += dt
+        if abs(d0) + abs(d1) + abs(d2) < 1e-2 * scale * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
+            break
+    return m, scale, total
+
+
+@kernel(fastmath=True)
+def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
+    """Fill S and shared (3, 3), in the basis V: the covariance of the scores Σ ψ a, and the keyframe's part in it.
+
+    ψ² is what the residuals are, not what they should be. Residuals that agree over `block` neighbouring rows, as those
+    of a surface do that is not straight, do not average out: S grows by as much. Returns how much flatter the cost is
+    than H says, for H counts w where the curvature is that of ψ = e (1 - z): 1 - 3z.
+    """
+    own = np.zeros((3, 3))
+    sums = np.zeros(3)
+    blocks = plain = curvature = total = 0.0
+    for i in range(m):
+        e, w = rows[3, i], rows[4, i]
+        z = e * e * w * limit
+        if z < 1.0:
+            curvature += 1.0 - 3.0 * z
+            total += 1.0 - z
+            psi = w * (1.0 - z) * e
+            a2 = rows[2, i] / reach
+            for k in range(3):
+                scores[k] = psi * (rows[0, i] * V[0, k] + rows[1, i] * V[1, k] + a2 * V[2, k])
+                sums[k] += scores[k]
+            for k in range(3):
+                for l in range(k + 1):
+                    own[k, l] += scores[k] * scores[l]
+                    shared[k, l] += rows[5, i] * scores[k] * scores[l]
+        if i % block == block - 1 or i == m - 1:
+            for k in range(3):
+                blocks += sums[k] * sums[k] / S[k, k]
+                sums[k] = 0.0
+    for k in range(3):
+        plain += (own[k, k] + shared[k, k]) / S[k, k]
+    growth = max(blocks / max(plain, 1e-300), 1.0)
+    for k in range(3):
+        for l in range(k + 1):
+            shared[k, l] *= growth
+            S[k, l] = own[k, l] * growth + shared[k, l]
+            S[l, k], shared[l, k] = S[k, l], shared[k, l]
+    return total / max(curvature, 0.3 * total)
+
+
+@kernel
+def line_covariance(rows, m, scale, reach, settings, H, V, told, free, covariance, shared):
+    """Fill covariance and shared (3, 3) of the laser's ξ: the sandwich H⁻¹ S H⁻¹, wide along what is not told.
+
+    free (3,): variance of x, y [m²] and θ [rad²] where nothing is known. A part `common` of the noise is taken to be
+    common to all beams: it does not average out.
+    """
+    limit = 1.0 / (settings.gate * scale) ** 2
+    S, K = np.zeros((3, 3)), np.zeros((3, 3))
+    for k in range(3):
+        S[k, k] = H[k, k] * H[k, k] if told[k] > 0.0 else 1e300  # sums of scores count by what they move the pose
+    flatness = score_sums(rows, m, limit, reach, V, 16, np.zeros(3), S, K)
+    units = np.array([1.0, 1.0, 1.0 / reach])
+    bias = settings.common * scale
+    for k in range(3):
+        for l in range(3):
+            if told[k] > 0.0 and told[l] > 0.0:
+                over = flatness * flatness / (H[k, k] * H[l, l])
+                S[k, l] *= over
+                K[k, l] *= over
+            else:
+                S[k, l] = K[k, l] = 0.0
+        if told[k] > 0.0:
+            S[k, k] += bias * bias
+        else:
+            for i in range(3):
+                S[k, k] += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = shared[i, j] = 0.0
+            for k in range(3):
+                for l in range(3):
+                    covariance[i, j] += units[i] * V[i, k] * S[k, l] * V[j, l] * units[j]
+                    shared[i, j] += units[i] * V[i, k] * K[k, l] * V[j, l] * units[j]
+
+
+@kernel
+def carry_covariance(adjoint, C, out):
+    """out = Ad C Adᵀ, made symmetric and a little larger than nothing."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(3):
+                for l in range(3):
+                    total += adjoint[i, k] * C[k, l] * adjoint[j, l]
+            out[i, j] = out[j, i] = total
+
+
+@kernel
+def match_points(
+    x, y, r, cos, sin, increment, beams, lines, reach, settings, mount, guess, free, pose, covariance, shared, told, V
+):  # fmt: skip
+    """Match the points of a scan to the lines of a keyframe, starting from a guess (3,) of the base's pose.
+
+    mount (3,): the laser in the base. Fills the base's pose (3,) seen from its pose at the keyframe, the covariance and
+    its shared part (3, 3), and told (3,): which columns of V, directions of ξ, the scan tells.
+    Returns the rows, the scale of the residuals [m] and the mean robust weight.
+    """
+    n = len(r)
+    rows, space = np.empty((ROWS, n)), np.empty(n)
+    H, local, common = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
+    gx, gy, gt = se2_compose(guess[0], guess[1], guess[2], mount[0], mount[1], mount[2])
+    pose[0], pose[1], pose[2] = se2_compose(ix, iy, it, gx, gy, gt)
+    m, scale, total = align(x, y, r, cos, sin, increment, beams, lines, reach, settings, pose, rows, space, H, V, told)
+    if m < 6:
+        return m, scale, 0.0
+    line_covariance(rows, m, scale, reach, settings, H, V, told, free, local, common)
+    gx, gy, gt = se2_compose(mount[0], mount[1], mount[2], pose[0], pose[1], pose[2])
+    pose[0], pose[1], pose[2] = se2_compose(gx, gy, gt, ix, iy, it)
+    adjoint = np.empty((3, 3))
+    se2_adjoint(mount[0], mount[1], mount[2], adjoint)
+    carry_covariance(adjoint, local, covariance)
+    carry_covariance(adjoint, common, shared)
+    return m, scale, total / m

@@ -1,0 +1,239 @@
+"""LIDAR odometry: each scan against a keyframe, from a guess that the wheels or a filter may give."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from longreach.geometry import se2
+from longreach.measurement import LaserScan, RelativePoseMeasurement
+from longreach.odometry import _match_kernels
+from longreach.odometry.point_to_line import Fit, Lines, Points, fit, lines_of, points_of
+from longreach.odometry.scan_geometry import (
+    FEWEST_BEAMS,
+    ScanGeometry,
+    check_mount,
+    same_kind,
+    scan_geometry,
+    share_of_a_beam,
+)
+from longreach.odometry.scan_match import ScanMatch
+
+_FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
+_FRESH = 0.3  # weight of the last twist in the running mean
+_LOST = 2  # scans without a match, after which the next one becomes a keyframe
+
+
+class LidarConfig(BaseModel):
+    """Parameters of LIDAR odometry; the defaults serve 180 to 1081 beams at 5 to 40 Hz."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    iterations: int = Field(default=20, ge=1, le=100, description="Linearisations a match at most [1].")
+    gate: float = Field(default=4.0, gt=1, description="Residuals beyond this many deviations take no part [1].")
+    grazing: float = Field(
+        default=0.1, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
+    )
+    known: float = Field(default=3.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
+    common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
+    distance: float = Field(default=0.5, gt=0, description="From a keyframe to the next [m]; ours.")
+    angle: float = Field(default=0.4, gt=0, description="From a keyframe to the next [rad]; ours.")
+    overlap: float = Field(default=0.6, gt=0, lt=1, description="Beams that a keyframe explains at least [1]; ours.")
+    speed: float = Field(default=1.0, gt=0, description="What a base may drive where scans do not tell [m/s].")
+    turn: float = Field(default=1.0, gt=0, description="What a base may turn where scans do not tell [rad/s].")
+
+    @cached_property
+    def lines(self) -> _match_kernels.LineSettings:
+        """The same as the kernels take it."""
+        return _match_kernels.LineSettings(
+            iterations=self.iterations,
+            gate=self.gate,
+            grazing=self.grazing,
+            floor=1e-4,
+            known=self.known,
+            common=self.common,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A keyframe of one kind of scans: when it was, its lines, and the base's pose (3,) at the last scan seen from it.
+
+    lost: scans since the last match.
+    """
+
+    stamp: float
+    geometry: ScanGeometry
+    lines: Lines
+    pose: Float[np.ndarray, "3"]
+    lost: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LidarState:
+    """The keyframe of each kind of scan, when the last scan was, and the base's twist: the last, the running mean."""
+
+    config: LidarConfig
+    T_base_laser: Float[np.ndarray, "4 4"]
+    references: tuple[Reference, ...] = ()
+    stamp: float = -math.inf
+    twist: Float[np.ndarray, "2 3"] | None = None
+
+
+def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
+    """Start before any scan, with a laser mounted at T_base_laser.
+
+    Raises:
+        EstimationError: the laser's plane is tilted by more than 15° against the floor.
+    """
+    check_mount(T_base_laser)
+    return LidarState(config, T_base_laser)
+
+
+def step(
+    state: LidarState, scan: LaserScan, guide: Float[np.ndarray, "3"] | None = None
+) -> tuple[LidarState, ScanMatch]:
+    """Match a scan against the keyframe of its kind.
+
+    guide: predicted pose (3,) of the base at this scan seen from the base at the last one; None: it moves on as it did.
+    """
+    if len(scan.ranges) < FEWEST_BEAMS:
+        reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
+        return state, ScanMatch(scan.stamp, None, reason, 0)
+    config, period = state.config, scan.stamp - state.stamp
+    moved = _moved(state, period, guide)
+    place = next((i for i, known in enumerate(state.references) if same_kind(scan, known.geometry)), None)
+    geometry = scan_geometry(scan, state.T_base_laser, 1) if place is None else state.references[place].geometry
+    points = _points(state, scan, geometry, guide, period)
+    if place is None:
+        reason = "the scan is the first of its kind"
+        return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
+            scan.stamp, None, reason, 0, keyframe=True
+        )
+    reference = state.references[place]
+    since = scan.stamp - reference.stamp
+    free = np.array([config.speed * since, config.speed * since, config.turn * since]) ** 2
+    found = fit(points, reference.lines, geometry, config.lines, se2.compose(reference.pose, moved), free)
+    reason = _wrong(found, points)
+    if reason:
+        return _failed(state, scan, points, moved, place, reason)
+    return _matched(state, scan, points, place, found)
+
+
+def _moved(state: LidarState, period: float, guide: np.ndarray | None) -> np.ndarray:
+    """Return the pose of the base now seen from the base at the last scan, as expected."""
+    if guide is not None and np.isfinite(guide).all():
+        return guide
+    if state.twist is None or not math.isfinite(period):
+        return np.zeros(3)
+    return se2.exp(state.twist[0] * period)
+
+
+def _points(
+    state: LidarState, scan: LaserScan, geometry: ScanGeometry, guide: np.ndarray | None, period: float
+) -> Points:
+    """Return the points of a scan, carried to where the sweep began."""
+    share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
+    motion = np.zeros(3)
+    if share > 0.0:
+        if guide is not None and np.isfinite(guide).all():
+            motion = se2.log(guide)
+        elif state.twist is not None:
+            motion = state.twist[1] * period
+        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
+    return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
+
+
+def _wrong(found: Fit, points: Points) -> str:
+    """Return why a fit is none, or nothing."""
+    if points.count < _FEWEST_ROWS:
+        return f"only {points.count} beams see something"
+    if found.rows < _FEWEST_ROWS:
+        return f"only {found.rows} beams see something that the keyframe saw"
+    if found.support < 0.4:
+        return f"only {100 * found.support:.0f} % of the beams agree with the keyframe"
+    if not (np.isfinite(found.pose).all() and np.isfinite(found.covariance).all()):
+        return "the match is not finite"
+    return ""
+
+
+def _restarted(
+    state: LidarState, scan: LaserScan, geometry: ScanGeometry, points: Points, moved: np.ndarray, place: int | None
+) -> LidarState:
+    """Return the state in which this scan is the keyframe of its kind, and the other kinds have moved on."""
+    others = tuple(
+        replace(known, pose=se2.compose(known.pose, moved)) for i, known in enumerate(state.references) if i != place
+    )
+    new = Reference(scan.stamp, geometry, lines_of(points, geometry), np.zeros(3))
+    return replace(state, references=(*others, new), stamp=scan.stamp)
+
+
+def _failed(
+    state: LidarState, scan: LaserScan, points: Points, moved: np.ndarray, place: int, reason: str
+) -> tuple[LidarState, ScanMatch]:
+    reference = state.references[place]
+    if reference.lost + 1 >= _LOST and points.count >= _FEWEST_ROWS:
+        state = _restarted(state, scan, reference.geometry, points, moved, place)
+        return replace(state, twist=None), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
+    references = tuple(
+        replace(known, pose=se2.compose(known.pose, moved), lost=known.lost + (i == place))
+        for i, known in enumerate(state.references)
+    )
+    return replace(state, references=references, stamp=scan.stamp), ScanMatch(scan.stamp, None, reason, 0)
+
+
+def _matched(
+    state: LidarState, scan: LaserScan, points: Points, place: int, found: Fit
+) -> tuple[LidarState, ScanMatch]:
+    reference, config = state.references[place], state.config
+    moved = se2.between(reference.pose, found.pose)
+    measurement = RelativePoseMeasurement(
+        reference.stamp, scan.stamp, found.pose, found.covariance, source="lidar", shared_covariance=found.shared
+    )
+    keyframe = bool(
+        math.hypot(found.pose[0], found.pose[1]) > config.distance
+        or abs(found.pose[2]) > config.angle
+        or found.rows < config.overlap * points.count
+    )
+    period = scan.stamp - state.stamp
+    twist = state.twist
+    if period > 0.0:
+        last = se2.log(moved) / period
+        mean = last if twist is None else twist[1] + _FRESH * (last - twist[1])
+        twist = np.stack([last, mean])
+    if keyframe:
+        state = _restarted(state, scan, reference.geometry, points, moved, place)
+    else:
+        references = tuple(
+            replace(known, pose=found.pose if i == place else se2.compose(known.pose, moved), lost=0)
+            for i, known in enumerate(state.references)
+        )
+        state = replace(state, references=references, stamp=scan.stamp)
+    match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
+    return replace(state, twist=twist), match
+
+
+def lidar_odometry(
+    scans: Iterable[LaserScan],
+    T_base_laser: Float[np.ndarray, "4 4"],
+    config: LidarConfig | None = None,
+    show_progress: Callable[[int], None] | None = None,
+    guides: Sequence[Float[np.ndarray, "3"] | None] | None = None,
+) -> tuple[ScanMatch, ...]:
+    """Match each scan against its keyframe; the first scan has no entry.
+
+    show_progress is called now and then with the number of scans done. guides: of each scan, as `step` takes it.
+    """
+    state = init(config or LidarConfig(), T_base_laser)
+    matches = []
+    for i, scan in enumerate(scans):
+        state, match = step(state, scan, None if guides is None else guides[i])
+        if i > 0:
+            matches.append(match)
+        if show_progress and i % 200 == 0:
+            show_progress(i)
+    return tuple(matches)
