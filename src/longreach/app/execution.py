@@ -1,7 +1,7 @@
 """A plan executed by a simulated robot, recorded, and held against what really happened."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,13 +29,15 @@ class ExecutionConfig(BaseModel):
 
     seed: int = Field(default=0, ge=0, description="Of everything random.")
     world: str = Field(default="laboratory", description="A shipped world, or a YAML file.")
-    floor: str | float | None = Field(default=None, description="good, worn, wet, slippery, a friction; null: the world's.")
+    floor: str | float | None = Field(
+        default=None, description="good, worn, wet, slippery, a friction; null: the world's."
+    )
     tracker: TrackerConfig = TrackerConfig()
 
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """What was done: the plan, the run, its recording, what `estimate` makes of that, and the traces of tool and base."""
+    """What was done: plan, run and recording, what `estimate` makes of that, and the traces of tool and base."""
 
     robot: MobileManipulator
     plan: ConfigurationTrajectory
@@ -108,11 +110,15 @@ def loop_metrics(execution: Execution) -> dict[str, Metric]:
     """Return how fast the loop was, and how far the estimate of the run is from the replay of its recording."""
     busy, fused = execution.run.ticker.busy, execution.estimate.trajectories["fused"]
     row_of = {row.stamp: row.pose for row in execution.run.rows}
-    apart = [np.abs(row_of[s] - pose).max() for s, pose in zip(fused.stamps.tolist(), fused.poses, strict=True) if s in row_of]
+    apart = [
+        np.abs(row_of[s] - pose).max()
+        for s, pose in zip(fused.stamps.tolist(), fused.poses, strict=True)
+        if s in row_of
+    ]
     return {
         "tick_median": metric(1e3 * busy.percentile(50), "ms"),
         "tick_p99": metric(1e3 * busy.percentile(99), "ms"),
         "ticks": metric(execution.run.ticker.ticks, ""),
         "late_ticks": metric(execution.run.ticker.late, ""),
-        "replay_difference_max": metric(float(max(apart, default=np.nan)), "m"),
+        "replay_difference_max": metric(max(apart, default=np.nan), "m"),
     }

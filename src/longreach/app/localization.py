@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-from joblib import Parallel, delayed
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EstimateConfig, EvaluationConfig, Source
@@ -13,7 +12,7 @@ from longreach.app.estimate import Estimate, estimate
 from longreach.app.evaluate import Evaluation, Metrics, evaluate
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
 from longreach.app.results import write_results
-from longreach.evaluation.tables import Metric, metric
+from longreach.app.seeds import more_seeds
 from longreach.io.bag_writer import write_bag
 from longreach.io.config import to_yaml
 from longreach.io.robots import load_robot
@@ -77,35 +76,20 @@ def run_localization(config: LocalizationConfig, out: Path, progress: Progress |
     metrics: Metrics = first.evaluation.metrics
     remarks = list(first.evaluation.remarks)
     if config.seeds > 1:
-        tell("more seeds", 0.0)
-        seeds = range(config.seed + 1, config.seed + config.seeds)
-        jobs = Parallel(n_jobs=-1, return_as="generator_unordered")(delayed(_metrics)(config, seed) for seed in seeds)
-        runs = [metrics]
-        for found in jobs:
-            if found is not None:  # a task gives what its function does; the type says it may be nothing
-                runs.append(found)
-            tell("more seeds", len(runs) / config.seeds)
-        metrics = spread(runs)
-        remarks.append(f"Numbers are means and standard deviations over {config.seeds} seeds; figures show the first.")
+        seeds = range(config.seed, config.seed + config.seeds)
+        metrics, remark = more_seeds(partial(_metrics, config), _compared(metrics), seeds, tell)
+        remarks.append(remark)
     _write(config, first, metrics, remarks, out, tell)
     return metrics
 
 
 def _metrics(config: LocalizationConfig, seed: int) -> Metrics:
-    return localize(config, seed).evaluation.metrics
+    return _compared(localize(config, seed).evaluation.metrics)
 
 
-def spread(runs: Sequence[Metrics]) -> dict[str, dict[str, Metric]]:
-    """Return mean and standard deviation (`…_std`) of each metric over runs."""
-    found: dict[str, dict[str, Metric]] = {}
-    for who, named in runs[0].items():
-        found[who] = {}
-        for name in _COMPARED:
-            if name in named:
-                values = np.array([np.nan if (v := r[who][name]["value"]) is None else v for r in runs], dtype=float)
-                found[who][name] = metric(float(np.mean(values)), named[name]["unit"])
-                found[who][f"{name}_std"] = metric(float(np.std(values)), named[name]["unit"])
-    return found
+def _compared(metrics: Metrics) -> Metrics:
+    """Return what is told of many seeds."""
+    return {who: {name: named[name] for name in _COMPARED if name in named} for who, named in metrics.items()}
 
 
 def _write(

@@ -23,8 +23,12 @@ def write_results(
     tell: Progress,
     remarks: Sequence[str] = (),
     captions: Mapping[str, str] = CAPTIONS,
+    main: Mapping[str, Mapping[str, Metric]] | None = None,
 ) -> None:
-    """Write into a folder that is there; figures are drawn one by one, so that only one is in memory."""
+    """Write into a folder that is there; figures are drawn one by one, so that only one is in memory.
+
+    main: what the page's first table shows of the metrics; None: the few that tell most of a trajectory.
+    """
     text = json.dumps(metrics, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     (folder / "metrics.json").write_text(text, encoding="utf-8")
     (folder / "config.yaml").write_text(config, encoding="utf-8")
@@ -34,7 +38,7 @@ def write_results(
         tell("figures", i / len(drawn))
         pictures[name] = style.png(draw())
         (folder / "figures" / f"{name}.png").write_bytes(pictures[name])
-    main = main_metrics(metrics)
+    main = main_metrics(metrics) if main is None else main
     page = report_html(
         title,
         introduction,

@@ -106,9 +106,7 @@ def init(
     )
 
 
-def step(
-    state: TrackerState, readings: Readings, heartbeat: float | None = None
-) -> tuple[TrackerState, Command, Tick]:
+def step(state: TrackerState, readings: Readings, heartbeat: float | None = None) -> tuple[TrackerState, Command, Tick]:
     """Return what may be sent at `readings.stamp`, and what it was made of; heartbeat: when the client was heard."""
     now, robot, config = readings.stamp, state.robot, state.config
     where, corrections = localizer.step(state.localizer, readings)  # estimate
@@ -122,7 +120,9 @@ def step(
     wish = whole_body.step(robot, config.whole_body, q, whole_body.Reference(q_reference, velocity))  # correct
 
     health = Health(tuple(_innovation(c) for c in corrections if c.dof or c.status == "refused"), heartbeat)
-    gate, command = safety.step(state.gate, Command(now, wish.arm, "velocity", wish.base), readings, health, now)  # guard
+    gate, command = safety.step(
+        state.gate, Command(now, wish.arm, "velocity", wish.base), readings, health, now
+    )  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
@@ -231,7 +231,7 @@ def _first_readings(
                 return kept, record.position[where]
         if kept[-1].stamp > until:
             raise ControlError(
-                f"The robot has not said in {_WAIT_FOR_JOINTS:g} s where its arm is; it must publish {', '.join(names)}."
+                f"The robot has not said in {_WAIT_FOR_JOINTS:g} s where its arm is: {', '.join(names)}."
             )
         wait_until(kept[-1].stamp + 1.0 / hardware.promises.arm_rate)
         kept.append(hardware.read())

@@ -9,29 +9,34 @@ from longreach.cli.tables import print_table
 
 
 def command(
-    experiment: str = typer.Argument(help="localization."),
+    experiment: str = typer.Argument(help="localization, dual-trajectory or manipulability."),
     out: Path | None = typer.Option(None, help="Folder for the results (default: out/EXPERIMENT)."),
     seed: int = typer.Option(0, help="Seed of everything random."),
     seeds: int = typer.Option(1, help="How many runs, with seeds counted on from the first, on all cores."),
-    duration: float = typer.Option(120.0, help="Length of the drive in seconds."),
-    floor: str = typer.Option("good", help="good, worn, wet, slippery, or a coefficient of friction."),
+    duration: float | None = typer.Option(None, help="localization: length of the drive in seconds; 120."),
+    length: float | None = typer.Option(None, help="dual-trajectory: of the tool's line in metres; 2."),
+    objective: str | None = typer.Option(None, help="manipulability: sqrt_kappa_over_m (4.33), or neg_log_m."),
+    world: str | None = typer.Option(None, help="laboratory, office, corridor, warehouse, hall, or a YAML file."),
+    floor: str | None = typer.Option(None, help="good, worn, wet, slippery, or a coefficient of friction."),
 ) -> None:
     """Run a simulated experiment and write recording, trajectories, figures and a report into a folder."""
-    from longreach.app.localization import LocalizationConfig, run_localization
+    from longreach.app.experiments import EXPERIMENTS
     from longreach.app.warmup import warm_up
     from longreach.errors import ConfigError
-    from longreach.evaluation.tables import main_metrics, metric_table
+    from longreach.evaluation.tables import metric_table
     from longreach.io.config import validated
 
-    if experiment != "localization":
-        raise ConfigError(f"There is no experiment {experiment!r}; there is localization.")
-    number = floor.replace(".", "", 1).isdigit()
-    settings = {"seed": seed, "seeds": seeds, "duration": duration, "floor": float(floor) if number else floor}
-    config = validated(LocalizationConfig, settings, "the options")
+    if experiment not in EXPERIMENTS:
+        raise ConfigError(f"There is no experiment {experiment!r}; there are {', '.join(EXPERIMENTS)}.")
+    chosen = EXPERIMENTS[experiment]
+    number = float(floor) if floor is not None and floor.replace(".", "", 1).isdigit() else floor
+    given = {"duration": duration, "length": length, "objective": objective, "world": world, "floor": number}
+    given = {name: value for name, value in given.items() if value is not None}
+    config = validated(chosen.config, {"seed": seed, "seeds": seeds, **given}, "the options")
     folder = out or Path("out") / experiment
     with shown_progress() as progress:
-        warm_up(progress, "estimation")
-        metrics = run_localization(config, folder, progress)
-    table = metric_table(metrics if seeds > 1 else main_metrics(metrics))
+        warm_up(progress, *chosen.rooms)
+        metrics = chosen.run(config, folder, progress)
+    table = metric_table(chosen.main(metrics))
     print_table(table.header, table.rows)
     typer.echo(f"Everything is in {folder}; open {folder / 'report.html'}.")

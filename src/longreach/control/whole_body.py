@@ -27,7 +27,7 @@ class WholeBodyConfig(BaseModel):
     loop: Literal["closed", "open"] = Field(default="closed", description="Whether the estimate of the base is used.")
     base_gain: float = Field(default=1.5, ge=0, description="From the base's error to its velocity [1/s]; ours.")
     tool_gain: float = Field(default=8.0, ge=0, description="From the tool's error to its velocity [1/s]; ours.")
-    arm_gain: float = Field(default=4.0, ge=0, description="From a joint's error to its velocity, open loop [1/s]; ours.")
+    arm_gain: float = Field(default=4.0, ge=0, description="From a joint's error to its speed, open loop [1/s]; ours.")
     damping: float = Field(default=0.05, ge=0, description="Largest damping of the arm's inverse [1]; ours.")
     singular: float = Field(default=0.02, ge=0, description="Damped where M of the arm is below this [m³]; ours.")
 
@@ -46,9 +46,7 @@ class Wish(NamedTuple):
     base: Float[np.ndarray, "3"]
 
 
-def step(
-    robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], reference: Reference
-) -> Wish:
+def step(robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], reference: Reference) -> Wish:
     """Return what to tell base and arm where the robot is at q (n,), as measured and estimated, base first."""
     base, arm = robot.base, robot.arm
     u_ref = reference.velocity[base]
@@ -75,6 +73,6 @@ def _damped(J: np.ndarray, V: np.ndarray, config: WholeBodyConfig) -> np.ndarray
     """Return J# V: the inverse, damped by λ² = λ_max² (1 - M/M_0)² below M_0 (Nakamura & Hanafusa 1986)."""
     A = J @ J.T
     M = np.sqrt(max(np.linalg.det(A), 0.0))
-    if M < config.singular:
+    if config.singular > M:
         A = A + (config.damping * (1.0 - M / config.singular)) ** 2 * np.eye(len(A))
     return J.T @ np.linalg.solve(A, V)

@@ -12,7 +12,7 @@ from longreach.evaluation.tables import Metric, metric
 class Traces:
     """Tool (n, 4, 4) and base (n, 3) at the same stamps (n,) [s]: as planned, as estimated, and as they were.
 
-    tool_covariance (n, 6, 6) of the tool's ξ = log(estimate⁻¹ · truth) = [v; ω], base_covariance (n, 3, 3) of the base's.
+    tool_covariance (n, 6, 6) of the tool's ξ = log(estimate⁻¹ · truth) = [v; ω]; base_covariance (n, 3, 3), the base's.
     """
 
     stamps: Float[np.ndarray, " n"]
@@ -32,9 +32,7 @@ def tool_metrics(traces: Traces) -> dict[str, Metric]:
     tool_error: truth from plan; estimate_error: truth from estimate; tracking_error: estimate from plan; straightness:
     truth from its own best line; correlation: of the tool's and the base's error of estimation in the ground plane.
     """
-    reference, estimate, truth = (
-        T[:, :3, 3] for T in (traces.tool_reference, traces.tool_estimate, traces.tool_truth)
-    )
+    reference, estimate, truth = (T[:, :3, 3] for T in (traces.tool_reference, traces.tool_estimate, traces.tool_truth))
     base = traces.base_truth - traces.base_estimate
     return {
         "tool_error": metric(_rms(truth - reference), "m"),

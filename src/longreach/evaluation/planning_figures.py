@@ -20,19 +20,21 @@ def optimised_against_not(
     radius: float,
     band: float,
     title: str = "",
+    times: Float[np.ndarray, " n"] | None = None,
 ) -> Figure:
     """Draw figure 6.5: tool position, manipulability, base heading and base position of plans by name.
 
     Arguments: measures: manipulability at each waypoint; bases: [x, y, θ] [m, rad]; tools: positions [m]; reference:
-        the base's, about which its tolerances radius [m] and band [rad] are shown.
+        the base's, about which its tolerances radius [m] and band [rad] are shown; times: of the rows [s], else they
+        are waypoints.
     """
     fig = style.figure(6.8, title)
     (tool, measure), (heading, position) = fig.subplots(2, 2)
     style.panel(tool, "x [m]", "tool y [m]")
-    style.panel(measure, "waypoint", "manipulability")
-    style.panel(heading, "waypoint", "θ - θ_goal [rad]")
-    style.panel(position, "waypoint", "base from goal [mm]")
-    rows = np.arange(len(reference))
+    rows, row = (np.arange(len(reference)), "waypoint") if times is None else (times, "time [s]")
+    style.panel(measure, row, "manipulability")
+    style.panel(heading, row, "θ - θ_goal [rad]")
+    style.panel(position, row, "base from goal [mm]")
     heading.fill_between(rows, -band, band, color=_BAND, zorder=0)
     position.fill_between(rows, 0.0, 1e3 * radius, color=_BAND, zorder=0)
     for name, look in style.looks(measures).items():
