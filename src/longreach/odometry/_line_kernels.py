@@ -58,32 +58,15 @@ def range_noise(x, y, r, space):
 
 
 @kernel
-def _window(sums, lo, hi, r):
-    """Least squares 1/r = m · d over beams lo..hi-1: m, M⁻¹ (three numbers), the variance of r, the count."""
-    count = sums[0, hi] - sums[0, lo]
-    if count < 3.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, count
-    cc, cs, ss = sums[1, hi] - sums[1, lo], sums[2, hi] - sums[2, lo], sums[3, hi] - sums[3, lo]
-    ic, si, ii = sums[4, hi] - sums[4, lo], sums[5, hi] - sums[5, lo], sums[6, hi] - sums[6, lo]
-    det = cc * ss - cs * cs
-    if det <= 1e-12 * count * count:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, count
-    i00, i01, i11 = ss / det, -cs / det, cc / det
-    mx, my = i00 * ic + i01 * si, i01 * ic + i11 * si
-    variance = max(ii - mx * ic - my * si, 0.0) / (count - 2.0) * r**4
-    return mx, my, i00, i01, i11, variance, count
-
-
-@kernel
 def _prefix_sums(x, y, r, sums):
-    for k in range(7):
-        sums[k, 0] = 0.0
+    """Fill sums (11, n + 1) of what `_window` takes differences of."""
+    sums[:, 0] = 0.0
     for u in range(len(r)):
-        for k in range(7):
+        for k in range(11):
             sums[k, u + 1] = sums[k, u]
         if r[u] > 0.0:
             i = 1.0 / r[u]
-            c, s = x[u] * i, y[u] * i
+            c, s, i4 = x[u] * i, y[u] * i, i**4
             sums[0, u + 1] += 1.0
             sums[1, u + 1] += c * c
             sums[2, u + 1] += c * s
@@ -91,49 +74,83 @@ def _prefix_sums(x, y, r, sums):
             sums[4, u + 1] += i * c
             sums[5, u + 1] += i * s
             sums[6, u + 1] += i * i
+            sums[7, u + 1] += i4
+            sums[8, u + 1] += i4 * c * c
+            sums[9, u + 1] += i4 * c * s
+            sums[10, u + 1] += i4 * s * s
+
+
+@kernel
+def _window(sums, lo, hi):
+    """Least squares 1/r = m · d over beams lo..hi-1: m (2,), the variance of a range as found, and the count."""
+    count = sums[0, hi] - sums[0, lo]
+    cc, cs, ss = sums[1, hi] - sums[1, lo], sums[2, hi] - sums[2, lo], sums[3, hi] - sums[3, lo]
+    det = cc * ss - cs * cs
+    if count < 3.0 or det <= 1e-12 * count * count:
+        return 0.0, 0.0, math.inf, 0.0
+    ic, si, ii = sums[4, hi] - sums[4, lo], sums[5, hi] - sums[5, lo], sums[6, hi] - sums[6, lo]
+    mx, my = (ss * ic - cs * si) / det, (cc * si - cs * ic) / det
+    expected = (sums[7, hi] - sums[7, lo]) * (count - 2.0) / count  # a range's deviation σ is σ/r² of its inverse
+    return mx, my, max(ii - mx * ic - my * si, 0.0) / expected, count
+
+
+@kernel
+def _spread(sums, lo, hi, ax, ay):
+    """Variance of a · m over σ², by the sandwich M⁻¹ (Σ d dᵀ / r⁴) M⁻¹."""
+    cc, cs, ss = sums[1, hi] - sums[1, lo], sums[2, hi] - sums[2, lo], sums[3, hi] - sums[3, lo]
+    det = cc * ss - cs * cs
+    bx, by = (ss * ax - cs * ay) / det, (cc * ay - cs * ax) / det
+    kk, kl, ll = sums[8, hi] - sums[8, lo], sums[9, hi] - sums[9, lo], sums[10, hi] - sums[10, lo]
+    return bx * bx * kk + 2.0 * bx * by * kl + by * by * ll
+
+
+@kernel
+def _widest(sums, u, n, variance):
+    """Return beams lo, hi of the widest window about beam u whose residuals are no larger than the noise; 0, 0: none.
+
+    Windows are centred, or shifted by up to half their width; of equally wide ones that which fits best is taken, so
+    that corners stay sharp.
+    """
+    for half in _WIDTHS:
+        least, first = math.inf, -1
+        step = max(half // 2, 1)
+        for shift in range(-half, half + 1, step):
+            lo, hi = u + shift - half, u + shift + half + 1
+            if lo < 0 or hi > n:
+                continue
+            _, _, found, count = _window(sums, lo, hi)
+            spread = math.sqrt(2.0 / max(count - 2.0, 1.0))
+            score = found * (1.0 + (0.5 * spread if shift != 0 else 0.0))
+            if count >= half + 2 and found <= variance * (1.0 + 2.0 * spread) and score < least:
+                least, first = score, lo
+        if first >= 0:
+            return first, first + 2 * half + 1
+    return 0, 0
 
 
 @kernel
 def fit_lines(x, y, r, sigma, lines):
-    """Fill lines (n, 5): normal n_x, n_y, distance ρ (0: no line), and the variances of range and direction over σ².
-
-    Of the windows that hold the beam, centred or shifted by up to half their width, the widest is taken whose residuals
-    are no larger than the noise σ; of equally wide ones that which fits best, so that corners stay sharp.
-    """
+    """Fill lines (n, 5): normal n_x, n_y, distance ρ (0: no line), and the variances of range and direction over σ²."""
     n = len(r)
-    sums = np.empty((7, n + 1))
+    sums = np.empty((11, n + 1))
     _prefix_sums(x, y, r, sums)
     for u in range(n):
         lines[u, 2] = 0.0
         if r[u] <= 0.0:
             continue
-        for half in _WIDTHS:
-            least = math.inf
-            shift_step = max(half // 2, 1)
-            for shift in range(-half, half + 1, shift_step):
-                centre = u + shift
-                lo, hi = centre - half, centre + half + 1
-                if lo < 0 or hi > n:
-                    continue
-                mx, my, i00, i01, i11, variance, count = _window(sums, lo, hi, r[u])
-                spread = math.sqrt(2.0 / max(count - 2.0, 1.0))
-                if count < half + 2 or variance > sigma * sigma * (1.0 + 2.0 * spread) + 1e-10:
-                    continue
-                score = variance * (1.0 + (0.5 * spread if shift != 0 else 0.0))
-                size = math.hypot(mx, my)
-                if score >= least or size <= 0.0:
-                    continue
-                c, s = x[u] / r[u], y[u] / r[u]
-                nx, ny = mx / size, my / size
-                tilt = (ny * ny * i00 - 2.0 * nx * ny * i01 + nx * nx * i11) / (size * size * r[u] ** 4)
-                if tilt * sigma * sigma > _STEEPEST:
-                    continue
-                least = score
-                lines[u, 0], lines[u, 1], lines[u, 2] = nx, ny, 1.0 / size
-                lines[u, 3] = c * c * i00 + 2.0 * c * s * i01 + s * s * i11
-                lines[u, 4] = tilt
-            if least < math.inf:
-                break
+        lo, hi = _widest(sums, u, n, sigma * sigma)
+        if hi == 0:
+            continue
+        mx, my, _, _ = _window(sums, lo, hi)
+        size = math.sqrt(mx * mx + my * my)
+        if not size > 0.0:
+            continue
+        nx, ny = mx / size, my / size
+        tilt = _spread(sums, lo, hi, -ny, nx) / (size * size)
+        if tilt * sigma * sigma < _STEEPEST:
+            lines[u, 0], lines[u, 1], lines[u, 2] = nx, ny, 1.0 / size
+            lines[u, 3] = _spread(sums, lo, hi, x[u] / r[u], y[u] / r[u]) * r[u] ** 4
+            lines[u, 4] = tilt
 
 
 @kernel

@@ -14,12 +14,14 @@ from longreach.odometry._eigen_kernels import symmetric_eigen
 from longreach.odometry._pyramid_kernels import _atan_ratio
 
 LineSettings = namedtuple("LineSettings", "iterations gate grazing floor known common")
-ROWS = 9  # numbers kept of a matched point
+ROWS = 8  # numbers kept of a matched point
+_SURFACE = 16  # neighbouring rows whose residuals may agree
+_LINE = 32  # rows that share a line at most
 
 
 @kernel
 def line_rows(x, y, r, cos, sin, increment, beams, lines, pose, grazing, rows):
-    """Fill rows (9, m) of the points that fall on a line of the keyframe, and return m.
+    """Fill rows (8, m) of the points that fall on a line of the keyframe, and return m.
 
     pose (3,): of the laser, seen from the keyframe. beams (n,): which line lies in each direction. A row is the
     derivative a (3,) of the distance e from the line, e, its weight 1/variance over σ², the share of the keyframe's
@@ -96,23 +98,48 @@ def normal_equations(rows, m, limit, reach, H):
 
 
 @kernel(fastmath=True)
-def untold(rows, m, limit, reach, scale, known, H, V, told):
+def find_told(rows, m, limit, reach, scale, known, H, V, told):
     """Fill told (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
     Errors of the lines' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
     A direction is told where H is more than `known` times what it would be from these errors alone.
     """
-    f = np.zeros(3)
-    for i in range(m):
-        e, w = rows[3, i], rows[4, i]
-        w *= max(1.0 - e * e * w * limit, 0.0) * rows[7, i]
-        t0, t1, t2 = -rows[1, i], rows[0, i], rows[6, i] / reach
-        for k in range(3):
-            along = t0 * V[0, k] + t1 * V[1, k] + t2 * V[2, k]
-            f[k] += w * along * along
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for k in range(3):
-        told[k] = 1.0 if H[k, k] > known * f[k] * scale * scale + 1e-4 * largest else 0.0
+        told[k] = 1.0
+        if H[k, k] > 0.2 * largest:
+            continue
+        errors = 0.0
+        for i in range(m):
+            e, w = rows[3, i], rows[4, i]
+            w *= max(1.0 - e * e * w * limit, 0.0) * rows[7, i]
+            along = rows[0, i] * V[1, k] - rows[1, i] * V[0, k] + rows[6, i] / reach * V[2, k]
+            errors += w * along * along
+        if H[k, k] < known * errors * scale * scale + 1e-5 * largest:
+            told[k] = 0.0
+
+
+@kernel
+def lean(rows, m, limit, reach, H, V, k, out):
+    """Fill out (3,) with the variance of the angle [rad²] by which V's column k leans to the others: lines' errors.
+
+    Σ w (a · v_l)(a · v_k) is 0 in the eigenbasis; how much it is over blocks of rows tells what it would be elsewhere.
+    """
+    sums = np.zeros(3)
+    out[:] = 0.0
+    for i in range(m):
+        e, w = rows[3, i], rows[4, i]
+        w *= max(1.0 - e * e * w * limit, 0.0)
+        a0, a1, a2 = rows[0, i], rows[1, i], rows[2, i] / reach
+        along = w * (a0 * V[0, k] + a1 * V[1, k] + a2 * V[2, k])
+        for l in range(3):
+            sums[l] += along * (a0 * V[0, l] + a1 * V[1, l] + a2 * V[2, l])
+        if i % _LINE == _LINE - 1 or i == m - 1:
+            for l in range(3):
+                out[l] += sums[l] * sums[l]
+                sums[l] = 0.0
+    for l in range(3):
+        out[l] = out[l] / (H[l, l] * H[l, l]) if l != k else 0.0
 
 
 @kernel
@@ -132,7 +159,7 @@ def align(x, y, r, cos, sin, increment, beams, lines, reach, settings, pose, row
         limit = 1.0 / (settings.gate * scale) ** 2
         g0, g1, g2, total = normal_equations(rows, m, limit, reach, H)
         symmetric_eigen(H, V)
-        untold(rows, m, limit, reach, scale, settings.known, H, V, told)
+        find_told(rows, m, limit, reach, scale, settings.known, H, V, told)
         d0 = d1 = d2 = 0.0
         for k in range(3):
             if told[k] > 0.0:
@@ -202,22 +229,25 @@ def line_covariance(rows, m, scale, reach, settings, H, V, told, free, covarianc
     S, K = np.zeros((3, 3)), np.zeros((3, 3))
     for k in range(3):
         S[k, k] = H[k, k] * H[k, k] if told[k] > 0.0 else 1e300  # sums of scores count by what they move the pose
-    flatness = score_sums(rows, m, limit, reach, V, 16, np.zeros(3), S, K)
+    flatness = score_sums(rows, m, limit, reach, V, _SURFACE, np.zeros(3), S, K)
     units = np.array([1.0, 1.0, 1.0 / reach])
-    bias = settings.common * scale
+    bias, angles = settings.common * scale, np.empty(3)
     for k in range(3):
         for l in range(3):
-            if told[k] > 0.0 and told[l] > 0.0:
-                over = flatness * flatness / (H[k, k] * H[l, l])
-                S[k, l] *= over
-                K[k, l] *= over
-            else:
-                S[k, l] = K[k, l] = 0.0
+            both = told[k] * told[l] * flatness * flatness / (H[k, k] * H[l, l])
+            S[k, l] *= both
+            K[k, l] *= both
+        S[k, k] += bias * bias
+    for k in range(3):
         if told[k] > 0.0:
-            S[k, k] += bias * bias
-        else:
-            for i in range(3):
-                S[k, k] += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
+            continue
+        wide = 0.0
+        for i in range(3):
+            wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
+        S[k, k] += wide
+        lean(rows, m, limit, reach, H, V, k, angles)
+        for l in range(3):
+            S[l, l] += told[l] * wide * angles[l]
     for i in range(3):
         for j in range(3):
             covariance[i, j] = shared[i, j] = 0.0

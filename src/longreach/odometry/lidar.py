@@ -38,7 +38,7 @@ class LidarConfig(BaseModel):
     grazing: float = Field(
         default=0.1, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
     )
-    known: float = Field(default=3.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
+    known: float = Field(default=15.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
     common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
     distance: float = Field(default=0.5, gt=0, description="From a keyframe to the next [m]; ours.")
     angle: float = Field(default=0.4, gt=0, description="From a keyframe to the next [rad]; ours.")
