@@ -34,7 +34,7 @@ def _noise(R: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
-    error = np.zeros(10)
+    error = np.zeros(13)
     P = state.belief.covariance
     measured = np.diag(P) > 0
     error[measured] = _noise(P[np.ix_(measured, measured)], rng)
@@ -42,8 +42,8 @@ def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
 
 
 def _error(state: FusionState, truth: np.ndarray) -> np.ndarray:
-    mean = state.history[-1].mean[:10]
-    return np.concatenate([se2.difference(mean[:3], truth[:3]), truth[3:] - mean[3:]])
+    mean = state.history[-1].mean
+    return np.concatenate([se2.difference(mean[:3], truth[:3]), truth[3:10] - mean[3:10]])
 
 
 def _nees(error: np.ndarray, P: np.ndarray, components: list[int]) -> float:

@@ -8,12 +8,14 @@ from scipy.stats import chi2
 
 from longreach.estimation import ekf, motion
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, init, step
+from longreach.estimation.fusion import Anchor, Placed, init, step
+from longreach.estimation.motion import Counter
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
 NO_GATE = FilterConfig(gate_mode="none", history=0.0, led_by_counter=(False, False, False))
-ALONE, LED = np.zeros(3), np.ones(3)
+ALONE, LED = Counter(np.zeros(3)), Counter(np.ones(3))
+EXACT_SCALE = Counter(np.zeros(3), reach=1e300)
 STEP = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 3e-4, 5e-5], [2e-5, 5e-5, 1e-4]])
 READING = np.diag([1e-3, 5e-4, 2e-3])
 
@@ -24,32 +26,35 @@ def spd(rng, n):
 
 
 def test_carrying_an_anchor_moves_its_error_by_the_derivative(rng):
-    mean, P, z = rng.normal(size=16), spd(rng, 16), np.array([0.5, -0.3, 1.2])
-    anchor = mean[13:16]
-    moved, covariance = ekf.carry(mean, P, 1, z, STEP, ALONE)
-    np.testing.assert_allclose(moved, [*mean[:13], *se2.compose(anchor, z)], atol=1e-15)
+    mean, P, z = rng.normal(size=19), spd(rng, 19), np.array([0.5, -0.3, 1.2])
+    mean[10:13] = 0.0
+    anchor = mean[16:19]
+    moved, covariance = ekf.carry(EXACT_SCALE, mean, P, 1, z, STEP)
+    np.testing.assert_allclose(moved, [*mean[:16], *se2.compose(anchor, z)], atol=1e-15)
 
     def error_about_the_new(error):
         return se2.difference(se2.compose(anchor, z), se2.compose(se2.retract(anchor, error), z))
 
     J = se2.adjoint(se2.inverse(z))
     assert_is_jacobian(error_about_the_new, J, np.zeros(3))
-    T = block_diag(np.eye(13), J)
-    np.testing.assert_allclose(covariance, T @ P @ T.T + block_diag(np.zeros((13, 13)), STEP), atol=1e-12)
+    T = block_diag(np.eye(16), J)
+    T[16:, 10:13] = se2.right_jacobian(se2.log(z)) @ np.diag(se2.log(z))
+    np.testing.assert_allclose(covariance, T @ P @ T.T + block_diag(np.zeros((16, 16)), STEP), atol=1e-12)
     np.testing.assert_array_equal(covariance, covariance.T)
 
 
 def test_the_pose_shares_the_error_of_a_step_that_leads_it(rng):
-    mean, P, z = rng.normal(size=16), spd(rng, 16), np.array([0.5, -0.3, 1.2])
-    _, alone = ekf.carry(mean, P, 1, z, STEP, ALONE)
-    _, shared = ekf.carry(mean, P, 1, z, STEP, np.array([1.0, 1.0, 0.0]))
+    mean, P, z = rng.normal(size=19), spd(rng, 19), np.array([0.5, -0.3, 1.2])
+    P[10:13] = P[:, 10:13] = mean[10:13] = 0.0
+    _, alone = ekf.carry(ALONE, mean, P, 1, z, STEP)
+    _, shared = ekf.carry(Counter(np.array([1.0, 1.0, 0.0])), mean, P, 1, z, STEP)
     S = np.diag([1.0, 1.0, 0.0])
-    expected = np.zeros((16, 16))
-    expected[:3, :3], expected[:3, 13:], expected[13:, :3] = S @ STEP @ S, S @ STEP, STEP @ S
+    expected = np.zeros((19, 19))
+    expected[:3, :3], expected[:3, 16:], expected[16:, :3] = S @ STEP @ S, S @ STEP, STEP @ S
     np.testing.assert_allclose(shared - alone, expected, atol=1e-12)
-    D = np.hstack([np.eye(3), np.zeros((3, 10)), -np.eye(3)])
-    _, all_shared = ekf.carry(mean, P, 1, z, STEP, LED)
-    _, exact = ekf.carry(mean, P, 1, z, np.zeros((3, 3)), LED)
+    D = np.hstack([np.eye(3), np.zeros((3, 13)), -np.eye(3)])
+    _, all_shared = ekf.carry(LED, mean, P, 1, z, STEP)
+    _, exact = ekf.carry(LED, mean, P, 1, z, np.zeros((3, 3)))
     np.testing.assert_allclose(D @ all_shared @ D.T, D @ exact @ D.T, atol=1e-12)  # their difference is left alone
 
 
@@ -64,18 +69,19 @@ def test_a_counter_alone_leads_the_pose_where_it_says(rng):
         raw = se2.compose(raw, z)
         reading = 1e-6 * np.eye(3)
         state, _ = step(state, RelativePoseMeasurement(0.02 * i, 0.02 * (i + 1), z, 0.01 * STEP, "wheels", reading))
-    np.testing.assert_allclose(state.history[-1].mean[10:13], raw, atol=0.04)  # of 5 m
+    np.testing.assert_allclose(state.history[-1].mean[13:16], raw, atol=0.04)  # of 5 m
     np.testing.assert_allclose(state.belief.pose, raw, atol=0.06)
 
 
 def test_a_clone_is_the_pose_and_carrying_it_back_changes_nothing(rng):
-    mean, P = rng.normal(size=10), spd(rng, 10)
+    mean, P = rng.normal(size=13), spd(rng, 13)
+    P[10:13] = P[:, 10:13] = mean[10:13] = 0.0
     mean, P = ekf.clone(mean, P, 0)
-    np.testing.assert_array_equal(mean[10:], mean[:3])
-    np.testing.assert_array_equal(P[10:, :], P[:3, :])
+    np.testing.assert_array_equal(mean[13:], mean[:3])
+    np.testing.assert_array_equal(P[13:, :], P[:3, :])
     z = np.array([0.5, -0.3, 1.2])
-    there = ekf.carry(mean, P, 0, z, np.zeros((3, 3)), LED)
-    back, covariance = ekf.carry(*there, 0, se2.inverse(z), np.zeros((3, 3)), LED)
+    there = ekf.carry(LED, mean, P, 0, z, np.zeros((3, 3)))
+    back, covariance = ekf.carry(LED, *there, 0, se2.inverse(z), np.zeros((3, 3)))
     np.testing.assert_allclose(back, mean, atol=1e-14)
     np.testing.assert_allclose(covariance, P, atol=1e-12)
 
@@ -108,12 +114,12 @@ def test_readings_without_error_are_steps_from_anchor_to_anchor(rng, scale, tole
         cloned, _ = step(cloned, Anchor(now, "wheels"))
         assert (a.status, b.status) == ("used", "used")
         assert a.nis == pytest.approx(b.nis, rel=1e-2, abs=1e-6)
-        assert carried.anchors["wheels"] == cloned.anchors["wheels"] == (0, now)
+        assert carried.anchors["wheels"] == cloned.anchors["wheels"] == Placed(0, now)
     mean, other = carried.history[-1].mean, cloned.history[-1].mean
     np.testing.assert_allclose(se2.difference(mean[:3], other[:3]), 0.0, atol=tolerance)
     np.testing.assert_allclose(mean[3:10], other[3:10], atol=10 * tolerance)
     np.testing.assert_allclose(
-        se2.difference(mean[:3], mean[10:]), 0.0, atol=2e-3 * tolerance
+        se2.difference(mean[:3], mean[13:]), 0.0, atol=2e-3 * tolerance
     )  # the counter says where we are
     unit = np.array([*[scale] * 9, 1.0])
     A, B = (state.belief.covariance / np.outer(unit, unit) for state in (carried, cloned))
@@ -140,7 +146,7 @@ def test_the_filter_on_a_counter_is_as_wrong_as_it_says(rng):
     """Monte Carlo on the model itself: steps that are wrong by STEP add up, readings are off by READING each time."""
     config, runs, nees = FilterConfig(gate_mode="none", history=0.0), 60, []
     for _ in range(runs):
-        x, now = np.zeros(10), 0.0
+        x, now = np.zeros(13), 0.0
         x[3:6] = rng.normal(size=3)
         x[6:9] = rng.normal(size=3) * config.acceleration_deviation
         x[9] = 0.02 * rng.normal()
@@ -187,13 +193,13 @@ def test_a_reading_without_an_anchor_at_its_start_is_refused(placed):
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_reading_that_is_not_finite_moves_neither_the_pose_nor_the_anchor(bad):
     state, _ = step(start(), Anchor(0.0, "wheels"))
-    anchor = state.history[-1].mean[10:]
+    anchor = state.history[-1].mean[13:]
     state, correction = step(
         state, RelativePoseMeasurement(0.0, 0.1, np.array([bad, 0.0, 0.0]), STEP, "wheels", READING)
     )
     assert correction.status == "refused"
-    np.testing.assert_array_equal(state.history[-1].mean[10:], anchor)
-    assert state.anchors["wheels"] == (0, 0.0)
+    np.testing.assert_array_equal(state.history[-1].mean[13:], anchor)
+    assert state.anchors["wheels"] == Placed(0, 0.0)
 
 
 def test_a_late_reading_gives_what_it_gives_in_order(rng):

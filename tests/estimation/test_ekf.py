@@ -27,7 +27,7 @@ def textbook_chain(dt, variance, tau=0.5):
 
 
 def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
-    mean, P = np.zeros(10), spd(rng, 10, 0.3)
+    mean, P = np.zeros(13), spd(rng, 13, 0.3)
     placed = -1
     for k in range(10_000):
         mean, P = ekf.predict(MODEL, mean, P, float(10.0 ** rng.uniform(-4, 0.3)))
@@ -40,7 +40,7 @@ def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
             TwistMeasurement(0.0, mean[3:6] + rng.normal(size=3) * 0.1, R3),
             PoseMeasurement(0.0, mean[:3] + rng.normal(size=3) * 0.1, R3),
             PlanarImu(0.0, 0.1, rng.normal(size=2) * 0.1, np.array([0.2, -0.3]), 1e-4, R3[:2, :2]),
-            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[10:13], mean[:3]) if placed >= 0 else np.zeros(3), R3),
+            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[13:16], mean[:3]) if placed >= 0 else np.zeros(3), R3),
         )[kind]
         (r, H, R), fault = observe(mean, measurement, 0 if kind == 3 else None)
         assert not fault
@@ -53,7 +53,7 @@ def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
             smallest = np.linalg.eigvalsh(P / np.outer(deviation, deviation))[0]
             assert smallest > (-1e-14 if 100 <= k < 105 else 0.0)  # a fresh clone is the pose: singular by nature
             # keep the numbers in a range where a robot lives
-            mean = np.concatenate([mean[:3] % 10.0, np.clip(mean[3:10], -2.0, 2.0), mean[10:] % 10.0])
+            mean = np.concatenate([mean[:3] % 10.0, np.clip(mean[3:13], -2.0, 2.0), mean[13:] % 10.0])
 
 
 def test_without_rotation_it_is_the_linear_kalman_filter(rng):
@@ -152,15 +152,15 @@ def test_two_matches_to_one_anchor_share_its_error():
     now, mean = state.history[-1].P, state.history[-1].mean
     assert mean[0] == pytest.approx(x[6], abs=1e-7)
     assert now[0, 0] == pytest.approx(P[6, 6], rel=1e-6)
-    assert mean[10] == pytest.approx(x[0], abs=1e-7)  # the fix corrects the anchor too
-    assert now[10, 10] == pytest.approx(P[0, 0], rel=1e-6)
-    assert now[10, 0] == pytest.approx(P[0, 6], rel=1e-6)
+    assert mean[13] == pytest.approx(x[0], abs=1e-7)  # the fix corrects the anchor too
+    assert now[13, 13] == pytest.approx(P[0, 0], rel=1e-6)
+    assert now[13, 0] == pytest.approx(P[0, 6], rel=1e-6)
 
 
 def test_inflation_brings_the_nis_to_the_gate(rng):
     for k in (1, 2, 3):
-        mean, P, R = np.zeros(10), spd(rng, 10, 0.3), spd(rng, k, 0.1)
-        H = rng.normal(size=(k, 10))
+        mean, P, R = np.zeros(13), spd(rng, 13, 0.3), spd(rng, k, 0.1)
+        H = rng.normal(size=(k, 13))
         r = 1e3 * rng.normal(size=k)
         rejected = ekf.correct(mean, P, r, H, R, 9.0, False)
         assert rejected.scale == 0.0
@@ -172,14 +172,14 @@ def test_inflation_brings_the_nis_to_the_gate(rng):
 
 
 def test_an_exact_measurement_beyond_the_gate_cannot_be_inflated(rng):
-    H = np.eye(3, 10)
-    result = ekf.correct(np.zeros(10), np.eye(10), np.full(3, 100.0), H, np.zeros((3, 3)), 9.0, True)
+    H = np.eye(3, 13)
+    result = ekf.correct(np.zeros(13), np.eye(13), np.full(3, 100.0), H, np.zeros((3, 3)), 9.0, True)
     assert result.scale == 0.0
 
 
 def test_what_has_no_innovation_covariance_changes_nothing():
-    mean, P = np.zeros(10), np.zeros((10, 10))
-    result = ekf.correct(mean, P, np.ones(3), np.eye(3, 10), np.zeros((3, 3)))
+    mean, P = np.zeros(13), np.zeros((13, 13))
+    result = ekf.correct(mean, P, np.ones(3), np.eye(3, 13), np.zeros((3, 3)))
     assert result.nis == np.inf
     assert result.scale == 0.0
     np.testing.assert_array_equal(result.mean, mean)
@@ -187,30 +187,30 @@ def test_what_has_no_innovation_covariance_changes_nothing():
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, 3.0])
 def test_a_pose_that_nothing_was_known_of_is_as_measured(turn):
-    P = np.diag([1e4] * 10)
+    P = np.diag([1e4] * 13)
     R = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 3e-4, 5e-5], [2e-5, 5e-5, 1e-4]])
-    mean, z = np.zeros(10), np.array([3.0, -1.0, turn])
+    mean, z = np.zeros(13), np.array([3.0, -1.0, turn])
     (r, H, R_z), _ = observe(mean, PoseMeasurement(0.0, z, R))
     absolute = ekf.correct(mean, P, r, H, R_z)
     np.testing.assert_allclose(absolute.mean[:3], z, atol=1e-6)
     B = block_diag([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], 1.0)
     np.testing.assert_allclose(B @ absolute.covariance[:3, :3] @ B.T, R, atol=1e-9)
     # relative to an exact anchor, the covariance is in the frame of the pose measured
-    mean, P = np.zeros(13), block_diag(P, np.zeros((3, 3)))
-    mean[10:] = [-1.0, 2.0, 0.5]
+    mean, P = np.zeros(16), block_diag(P, np.zeros((3, 3)))
+    mean[13:] = [-1.0, 2.0, 0.5]
     (r, H, R_z), _ = observe(mean, RelativePoseMeasurement(0.0, 0.0, z, R), 0)
     relative = ekf.correct(mean, P, r, H, R_z)
-    np.testing.assert_allclose(se2.difference(se2.compose(mean[10:], z), relative.mean[:3]), 0.0, atol=1e-6)
+    np.testing.assert_allclose(se2.difference(se2.compose(mean[13:], z), relative.mean[:3]), 0.0, atol=1e-6)
     np.testing.assert_allclose(relative.covariance[:3, :3], R, atol=1e-9)
 
 
 def test_errors_are_carried_to_the_frame_of_the_new_mean(rng):
     """An error ξ of a pose, seen from X · exp(dx), is Ad(exp(-dx)) ξ; the rest stays as it is."""
-    mean, dx = rng.normal(size=13), 0.5 * rng.normal(size=13)
-    G = np.empty((13, 13))
+    mean, dx = rng.normal(size=16), 0.5 * rng.normal(size=16)
+    G = np.empty((16, 16))
     new = _kernels.retract(mean, dx, G)
-    xi = 1e-6 * rng.normal(size=13)
-    for i in (0, 10):
+    xi = 1e-6 * rng.normal(size=16)
+    for i in (0, 13):
         moved = se2.compose(se2.retract(mean[i : i + 3], xi[i : i + 3]), se2.exp(dx[i : i + 3]))
         np.testing.assert_allclose(se2.difference(new[i : i + 3], moved), (G @ xi)[i : i + 3], atol=1e-11)
-    np.testing.assert_array_equal(G[3:10], np.eye(13)[3:10])
+    np.testing.assert_array_equal(G[3:13], np.eye(16)[3:13])

@@ -51,7 +51,7 @@ def felt(x, imu):
 RESIDUALS = {
     TwistMeasurement: lambda x, m: m.twist - x[3:6],
     PoseMeasurement: lambda x, m: m.pose - x[:3],
-    RelativePoseMeasurement: lambda x, m: -se2.difference(m.pose, se2.between(x[13:16], x[:3])),
+    RelativePoseMeasurement: lambda x, m: -se2.difference(m.pose, se2.between(x[16:19], x[:3])),
     PlanarImu: lambda x, m: (
         np.array([m.rate, *(np.zeros(2) if m.acceleration is None else m.acceleration)]) - felt(x, m)
     ),
@@ -59,7 +59,7 @@ RESIDUALS = {
 
 
 def random_mean(rng):
-    return np.concatenate([rng.normal(size=3), 2.0 * rng.normal(size=3), rng.normal(size=10)])
+    return np.concatenate([rng.normal(size=3), 2.0 * rng.normal(size=3), rng.normal(size=13)])
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -70,23 +70,23 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
     (r, H, R), fault = observe(mean, measurement, anchor)
     k = ROWS.get(name, 3)
     assert r.shape == (k,)
-    assert H.shape == (k, 16)
+    assert H.shape == (k, 19)
     assert R.shape == (k, k)
     assert fault == ""
-    at = np.zeros(16)  # where the model is linearised: poses at the pose measured, the rest at the mean
+    at = np.zeros(19)  # where the model is linearised: poses at the pose measured, the rest at the mean
     if name == "pose":
         at[:3] = se2.difference(mean[:3], measurement.pose)
     elif name == "relative pose, heading unknown":
-        x = se2.between(mean[13:16], mean[:3])
+        x = se2.between(mean[16:19], mean[:3])
         at[:3] = se2.difference(x, np.array([*measurement.pose[:2], x[2]]))
         measurement = RelativePoseMeasurement(0.5, 1.0, np.array([*measurement.pose[:2], x[2]]), R3)
     elif anchor is not None:
-        at[:3] = se2.difference(mean[:3], se2.compose(mean[13:16], measurement.pose))
-    G = np.empty((16, 16))
+        at[:3] = se2.difference(mean[:3], se2.compose(mean[16:19], measurement.pose))
+    G = np.empty((19, 19))
     there = _filter_kernels.retract(mean, at, G)
     J = H @ np.linalg.inv(G)  # over the errors as they are seen from where the model is linearised
     assert_is_jacobian(
-        lambda error: -RESIDUALS[type(measurement)](motion.retract(there, error), measurement)[:k], J, np.zeros(16)
+        lambda error: -RESIDUALS[type(measurement)](motion.retract(there, error), measurement)[:k], J, np.zeros(19)
     )
     if k == 3:
         np.testing.assert_allclose(H @ at, r - r * (not np.any(at)), atol=1e-9)
@@ -95,7 +95,7 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
 def together(mean):
     """How the errors of all poses change (n, 3) as the world moves under them, which no relative pose can tell."""
     out = np.zeros((len(mean), 3))
-    for i in (0, *range(10, len(mean), 3)):
+    for i in (0, *range(13, len(mean), 3)):
         out[i : i + 3] = se2.adjoint(se2.inverse(mean[i : i + 3]))
     return out
 
@@ -106,7 +106,7 @@ def test_a_relative_pose_says_nothing_of_where_all_poses_are_together(rng):
         mean = random_mean(rng)
         _, H, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 1)[0]
         np.testing.assert_allclose(H @ together(mean), 0.0, atol=1e-12)
-        dx, G = rng.normal(size=16), np.empty((16, 16))
+        dx, G = rng.normal(size=19), np.empty((19, 19))
         after = _filter_kernels.retract(mean, dx, G)
         np.testing.assert_allclose(G @ together(mean), together(after), atol=1e-12)
 
@@ -120,7 +120,7 @@ def test_what_the_model_predicts_has_no_innovation(rng):
     for case in (
         TwistMeasurement(1.0, mean[3:6], R3),
         PoseMeasurement(1.0, mean[:3] + np.array([0, 0, 2 * np.pi]), R3),
-        RelativePoseMeasurement(0.5, 1.0, se2.between(mean[13:16], mean[:3]), R3),
+        RelativePoseMeasurement(0.5, 1.0, se2.between(mean[16:19], mean[:3]), R3),
     ):
         anchor = 1 if isinstance(case, RelativePoseMeasurement) else None
         np.testing.assert_allclose(observe(mean, case, anchor)[0].innovation, 0.0, atol=1e-12)
@@ -128,7 +128,7 @@ def test_what_the_model_predicts_has_no_innovation(rng):
 
 def test_the_imu_feels_what_its_place_in_the_world_does(rng):
     """Second road: differentiate the world position of the sensor twice and turn it to the base's axes."""
-    mean = rng.normal(size=10)
+    mean = rng.normal(size=13)
     p, h = np.array([0.2, -0.3]), 1e-4
 
     def place(dt):
@@ -171,7 +171,7 @@ def test_planar_imu_turns_the_sensor_to_the_base_and_leaves_gravity_out():
 )
 def test_what_is_no_measurement_is_named(changes, says):
     good = {"twist": np.zeros(3), "covariance": R3}
-    _, fault = observe(np.zeros(10), TwistMeasurement(1.0, **{**good, **changes}))
+    _, fault = observe(np.zeros(13), TwistMeasurement(1.0, **{**good, **changes}))
     assert says in fault
 
 
@@ -182,14 +182,14 @@ def test_random_covariances_are_told_from_indefinite_ones(rng):
         R = basis @ np.diag(eigenvalues) @ basis.T
         R = 0.5 * (R + R.T)
         if abs(np.linalg.eigvalsh(R)[0]) > 1e-6 * np.abs(eigenvalues).max():
-            _, fault = observe(np.zeros(10), TwistMeasurement(1.0, np.zeros(3), R))
+            _, fault = observe(np.zeros(13), TwistMeasurement(1.0, np.zeros(3), R))
             assert (fault == "") == (eigenvalues.min() > 0)
 
 
 def test_a_covariance_stored_by_columns_is_the_same_covariance(rng):
     z = rng.normal(size=3)
-    by_rows = observe(np.zeros(10), PoseMeasurement(1.0, z, R3))[0]
-    by_columns = observe(np.zeros(10), PoseMeasurement(1.0, z, np.asfortranarray(R3)))[0]
+    by_rows = observe(np.zeros(13), PoseMeasurement(1.0, z, R3))[0]
+    by_columns = observe(np.zeros(13), PoseMeasurement(1.0, z, np.asfortranarray(R3)))[0]
     np.testing.assert_array_equal(by_rows.R, by_columns.R)
 
 

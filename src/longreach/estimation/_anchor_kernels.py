@@ -3,35 +3,51 @@
 Layout of the mean and of P: see `_kernels`.
 """
 
+import math
+
 import numpy as np
 
-from longreach.estimation._kernels import BODY, congruence
-from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose
+from longreach.estimation._kernels import BODY, SCALE, congruence
+from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_log, se2_right_jacobian
 from longreach.kernels import kernel
 
 
 @kernel
-def carry(mean, P, anchor, pose, Q, led):
-    """Move the anchor of that number by a pose (3,) seen from it, whose error has covariance Q (3, 3).
+def carry(mean, P, anchor, pose, Q, led, variance, reach):
+    """Move the anchor of that number by a pose (3,) seen from it, stretched by 1 + s, whose error has covariance Q.
 
-    led (3,): axes (1: yes, 0: no) in which the step's error is the error of the present pose as well.
+    led (3,): axes (1: yes, 0: no) in which the step's error is the error of the present pose as well. s, the counter's
+    scale errors, fade over `reach` and stay at the variance (3,) that they have when nothing is known.
     """
     i, n = BODY + 3 * anchor, len(mean)
-    moved, T, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
-    moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], pose[0], pose[1], pose[2])
-    x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
-    se2_adjoint(x, y, t, A)
+    moved, T = mean.copy(), np.zeros((n, n))
     for a in range(n):
         T[a, a] = 1.0
-    T[i : i + 3, i : i + 3] = A
+    d0, d1, d2 = se2_log(pose[0], pose[1], pose[2])
+    way = (d0, d1, d2)
+    d0, d1, d2 = d0 * (1.0 + mean[SCALE]), d1 * (1.0 + mean[SCALE + 1]), d2 * (1.0 + mean[SCALE + 2])
+    x, y, t = se2_exp(d0, d1, d2)
+    moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], x, y, t)
+    x, y, t = se2_exp(-d0, -d1, -d2)
+    se2_adjoint(x, y, t, T[i : i + 3, i : i + 3])
+    J = np.empty((3, 3))
+    se2_right_jacobian(d0, d1, d2, J)
+    fade = math.exp(-(math.hypot(way[0], way[1]) + abs(way[2])) / reach)
+    for b in range(3):
+        T[SCALE + b, SCALE + b] = fade
+        moved[SCALE + b] = fade * mean[SCALE + b]
+        for a in range(3):
+            T[i + a, SCALE + b] = J[a, b] * way[b]
+            T[a, SCALE + b] = led[a] * J[a, b] * way[b]
     new = congruence(T, P)
     for a in range(3):
+        new[SCALE + a, SCALE + a] += (1.0 - fade * fade) * variance[a]
         for b in range(3):
             new[i + a, i + b] += Q[a, b]
             new[a, b] += led[a] * led[b] * Q[a, b]
             new[a, i + b] += led[a] * Q[a, b]
             new[i + a, b] += led[b] * Q[a, b]
-    return moved, new
+    return moved, new, T
 
 
 @kernel

@@ -1,8 +1,8 @@
 """Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
-Layout of the mean (10 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, then m anchors x y θ. P has the
-same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth). Measurements have 1 to 3 rows, so the small
-systems are solved by a Cholesky written out here.
+Layout of the mean (13 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, scale error of the counter in x y
+θ, then m anchors x y θ. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth). Measurements
+have 1 to 3 rows, so the small systems are solved by a Cholesky written out here.
 """
 
 import math
@@ -12,7 +12,8 @@ import numpy as np
 from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
-BODY = 10  # error states before the anchors
+BODY = 13  # error states before the anchors
+SCALE = 10  # the first of the counter's scale errors
 
 
 @kernel

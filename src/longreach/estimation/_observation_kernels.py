@@ -66,17 +66,17 @@ def observe_pose(mean, z, R):
 
 
 @kernel
-def observe_relative_pose(mean, z, R, anchor):
-    """Innovation -e, e = log(z⁻¹ · anchor⁻¹ · X), linearised where it vanishes: at X · exp(-e)."""
+def observe_relative_pose(mean, z, R, anchor, at):
+    """Innovation -e, e = log(z⁻¹ · anchor⁻¹ · X), X the pose at `at`, linearised where it vanishes: at X · exp(-e)."""
     k = BODY + 3 * anchor
-    x, y, t = se2_between(mean[k], mean[k + 1], mean[k + 2], mean[0], mean[1], mean[2])
+    x, y, t = se2_between(mean[k], mean[k + 1], mean[k + 2], mean[at], mean[at + 1], mean[at + 2])
     if R[2, 2] == np.inf:
         z[2] = t
     e0, e1, e2 = se2_between(z[0], z[1], z[2], x, y, t)
     e0, e1, e2 = se2_log(e0, e1, e2)
     H = np.zeros((3, len(mean)))
     x, y, t = se2_exp(e0, e1, e2)
-    se2_adjoint(x, y, t, H[:, :3])
+    se2_adjoint(x, y, t, H[:, at : at + 3])
     x, y, t = se2_between(z[0], z[1], z[2], 0.0, 0.0, 0.0)
     se2_adjoint(x, y, t, H[:, k : k + 3])
     H[:, k : k + 3] *= -1.0

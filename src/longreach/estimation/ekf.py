@@ -1,7 +1,8 @@
 """The two steps of the extended Kalman filter (3.28), (3.29) on plain arrays; `fusion` puts measurements in order.
 
-The mean (10 + 3m,) is pose, twist, acceleration, gyro bias and m anchors: past poses kept in the state, so that a pose
-measured relative to one of them is judged with the right correlation (stochastic cloning: Roumeliotis & Burdick 2002).
+The mean (13 + 3m,) is pose, twist, acceleration, gyro bias, a counter's scale errors and m anchors: past poses kept in
+the state, so that a pose measured relative to one of them is judged with the right correlation (stochastic cloning:
+Roumeliotis & Burdick 2002).
 Ours differs from (3.29) in what a pose needs: corrections are put on by X · exp(ξ), after which P is carried to the
 frame of the new mean by Ad(exp(-ξ)); P is corrected in Joseph's form, which rounding cannot make indefinite.
 """
@@ -13,7 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.estimation import _anchor_kernels, _kernels
-from longreach.estimation.motion import MotionModel
+from longreach.estimation.motion import Counter, MotionModel
+
+BODY, SCALE = _kernels.BODY, _kernels.SCALE
 
 Mean = Float[np.ndarray, " n"]
 Covariance = Float[np.ndarray, "n n"]
@@ -75,17 +78,28 @@ def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarra
     return _read_only(*_anchor_kernels.clone(mean, P, anchor))
 
 
+def moved_anchor(mean: Mean, P: Covariance, anchor: int, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Put the last anchor, of that number, in place of another; there is one fewer then."""
+    rows = np.arange(BODY + 3 * anchor)
+    rows[BODY + 3 * number : BODY + 3 * number + 3] = BODY + 3 * anchor + np.arange(3)
+    return _read_only(mean[rows], P[np.ix_(rows, rows)])
+
+
 def carry(
+    counter: Counter,
     mean: Mean,
     P: Covariance,
     anchor: int,
     pose: Float[np.ndarray, "3"],
     Q: Float[np.ndarray, "3 3"],
-    led: Float[np.ndarray, "3"],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q).
 
-    led (3,): 1 in the axes in which the present pose shares the step's error, having been led by it; else 0. An error
-    that both share leaves their difference alone: what the motion model expects is not held against the step.
+    The step ξ = log(pose) is taken as (1 + s) ξ with the counter's scale errors s, axis by axis. In the axes that the
+    counter leads, the present pose shares the step's error, having been led by it. An error that both share leaves
+    their difference alone: what the motion model expects is not held against the step.
     """
-    return _read_only(*_anchor_kernels.carry(mean, P, anchor, pose, Q, led))
+    moved, covariance, _ = _anchor_kernels.carry(
+        mean, P, anchor, pose, Q, counter.led, counter.scale_variance, counter.reach
+    )
+    return _read_only(moved, covariance)

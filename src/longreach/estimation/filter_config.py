@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.estimation.motion import MotionModel
+from longreach.estimation.motion import Counter, MotionModel
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Axes = tuple[_Positive, _Positive, _Positive]
 
 
@@ -43,6 +44,18 @@ class FilterConfig(BaseModel):
         default=(True, True, True),
         description="axes in which a counter's steps lead the pose, and the motion model has no say against them; "
         "not the heading's where a gyro is fused, which knows better",
+    )
+    scale_deviation: tuple[_NotNegative, _NotNegative, _NotNegative] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="how wrong a counter's scale is, in x, y and θ [1]: rollers that creep, wheels that are worn; "
+        "0: not at all",
+    )
+    scale_reach: _Positive = Field(
+        default=30.0, description="way [m] and turn [rad] over which such an error stays much the same; ours"
+    )
+    noise_memory: _NotNegative = Field(
+        default=0.0,
+        description="measurements over which the noise of a source is estimated [1]; 0: it is as stated",
     )
     initial_twist_deviation: _Axes = Field(
         default=(1.0, 1.0, 1.0),
@@ -83,9 +96,10 @@ class FilterConfig(BaseModel):
         return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation)
 
     @cached_property
-    def led(self) -> np.ndarray:
-        """`led_by_counter` as numbers (3,)."""
-        return np.array(self.led_by_counter, dtype=float)
+    def counter(self) -> Counter:
+        """What these settings say of a counter."""
+        led = np.array(self.led_by_counter, dtype=float)
+        return Counter(led, np.square(self.scale_deviation), self.scale_reach)
 
     @cached_property
     def gates(self) -> tuple[float, float, float]:

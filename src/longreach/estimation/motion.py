@@ -9,7 +9,7 @@ exists. The gyro bias walks at random.
 Source: Singer 1970, "Estimating optimal tracking filter performance for manned maneuvering targets", (5)-(9).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +35,23 @@ class MotionModel:
         object.__setattr__(self, "acceleration_variance", variance)
 
 
+@dataclass(frozen=True, eq=False)
+class Counter:
+    """How the steps of a counter of wheels, which dead reckoning adds up, are wrong.
+
+    led (3,): 1 in the axes in which the pose is led by the counter and shares a step's error, else 0.
+    scale_variance (3,): of the errors of scale in x, y and θ, which stay much the same over `reach` [m and rad].
+    """
+
+    led: Float[np.ndarray, "3"]
+    scale_variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    reach: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("led", "scale_variance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), f"Counter.{name}"))
+
+
 def transition(
     model: MotionModel, mean: Float[np.ndarray, " n"], dt: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
@@ -51,8 +68,8 @@ def retract(mean: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"]) -> Fl
 
 
 def draw(
-    model: MotionModel, state: Float[np.ndarray, "10"], dt: float, rng: np.random.Generator
-) -> Float[np.ndarray, "10"]:
+    model: MotionModel, state: Float[np.ndarray, "13"], dt: float, rng: np.random.Generator
+) -> Float[np.ndarray, "13"]:
     """Draw where a true state goes in dt [s]: the model that the filter believes in, as a generator of test cases."""
     if dt == 0.0:
         return state.copy()
@@ -62,7 +79,7 @@ def draw(
     root = scale[:, None] * np.linalg.cholesky(unit / np.outer(scale, scale))
     noise = root @ rng.standard_normal((3, 3)) * np.sqrt(model.acceleration_variance)
     v, a = state[3:6], state[6:9]
-    error = np.zeros(10)
+    error = np.zeros(13)
     error[:3] = dt * v + f * a + noise[0]
     error[3:6] = g * a + noise[1]
     error[6:9] = (e - 1.0) * a + noise[2]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from longreach.errors import RecordingError
 from longreach.estimation import _observation_kernels as _kernels
@@ -106,8 +106,10 @@ def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
     return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
 
 
-def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, anchor: int) -> Observation:
-    """z = anchor⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · anchor⁻¹ · X).
+def observe_relative_pose(
+    mean: Mean, measurement: RelativePoseMeasurement, anchor: int, at: int = 0
+) -> Observation:
+    """z = anchor⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · anchor⁻¹ · X); X is the pose at `at` in the state.
 
     H = Ad(exp(e)) on ξ and -Ad(z⁻¹) on the anchor's error: the derivatives of e at X · exp(-e), where it is 0, with the
     error seen from there. At X they would be J_r⁻¹(e) and -J_r⁻¹(e) Ad(X⁻¹ · anchor); both agree as e goes to 0. This
@@ -118,7 +120,7 @@ def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, anch
     estimators".
     """
     return Observation(
-        *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), anchor)
+        *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), anchor, at)
     )
 
 
@@ -150,8 +152,21 @@ _FAULTS = (
 )
 
 
-def observe(mean: Mean, measurement: Any, anchor: int | None = None) -> tuple[Observation, str]:
-    """Return the observation, and why it must not be used ("" where it may be)."""
+def blocks_of(measurement: Measurement) -> Int[np.ndarray, " k"]:
+    """Tell of each measured component whether it is a translation (0) or a turn (1)."""
+    if isinstance(measurement, PlanarImu):
+        variances = [measurement.rate_variance, np.inf, np.inf]
+        if measurement.acceleration_covariance is not None:
+            variances[1:] = np.diag(measurement.acceleration_covariance)
+        return np.array([1, 0, 0])[np.array(variances) != np.inf]
+    return np.array([0, 0, 1])[np.diag(measurement.covariance) != np.inf]
+
+
+def observe(mean: Mean, measurement: Any, anchor: int | None = None, at: int = 0) -> tuple[Observation, str]:
+    """Return the observation, and why it must not be used ("" where it may be).
+
+    A relative pose is seen from the anchor of that number, and tells the pose at `at` in the state, 0 the present one.
+    """
     model = MODELS[type(measurement)]
-    observation = model(mean, measurement) if anchor is None else model(mean, measurement, anchor)
+    observation = model(mean, measurement) if anchor is None else model(mean, measurement, anchor, at)
     return observation, _FAULTS[_kernels.fault(observation.innovation, observation.R)]

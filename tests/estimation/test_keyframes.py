@@ -1,0 +1,139 @@
+"""Poses relative to keyframes: one anchor for all matches to one, and the noise of its own scan counted once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from longreach.errors import EstimationError
+from longreach.estimation import motion
+from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.fusion import Anchor, in_order, init, step
+from longreach.geometry import se2
+from longreach.measurement import RelativePoseMeasurement, TwistMeasurement
+
+CONFIG = FilterConfig(gate_mode="none", history=0.0)
+SCAN = np.array([[4e-5, 1e-5, 0.0], [1e-5, 3e-5, 5e-6], [0.0, 5e-6, 1e-5]])  # how wrong one scan shows its pose
+WHEELS = np.diag([0.03, 0.03, 0.03]) ** 2
+SCANS, EVERY = 18, 6  # in a run; scans to a keyframe
+
+
+def noise(rng, R=SCAN):
+    return np.linalg.cholesky(R) @ rng.standard_normal(len(R))
+
+
+def events_of(rng, shares=True):
+    """Scans at 10 Hz, each with one error of the pose it shows: events, true states, and poses as shown."""
+    x, events = np.zeros(13), []
+    x[3:6], x[6:9] = rng.normal(size=3), rng.normal(size=3) * CONFIG.acceleration_deviation
+    keyframe, since = se2.retract(x[:3], noise(rng)), 0.0
+    events.append(Anchor(0.0, "lidar"))
+    for i in range(1, SCANS + 1):
+        x, now = motion.draw(CONFIG.motion, x, 0.1, rng), 0.1 * i
+        shown = se2.retract(x[:3], noise(rng))
+        z = se2.between(keyframe, shown)
+        A = se2.adjoint(se2.inverse(z))
+        shared = A @ SCAN @ A.T
+        match = RelativePoseMeasurement(since, now, z, SCAN + shared, "lidar", None, shared if shares else None)
+        events.append(TwistMeasurement(now, x[3:6] + noise(rng, WHEELS), WHEELS, "wheels"))
+        if i % EVERY == 0:
+            events.append(Anchor(now, "lidar", match))
+            keyframe, since = shown, now
+        else:
+            events.append(match)
+    return events, x
+
+
+def last_error(events, x, config=CONFIG):
+    state = init(0.0, np.zeros(3), None, config)
+    for event in in_order(events):
+        state, correction = step(state, event)
+        assert correction.status == "used"
+    return se2.difference(state.belief.pose, x[:3]), state.belief.pose_covariance
+
+
+def mean_nees(rng, runs, shares):
+    values = []
+    for _ in range(runs):
+        e, P = last_error(*events_of(rng, shares))
+        values.append(e @ np.linalg.solve(P, e))
+    return np.mean(values), chi2.ppf([0.005, 0.995], 3 * runs) / runs
+
+
+def test_with_what_matches_share_the_filter_is_as_wrong_as_it_says(rng):
+    nees, (low, high) = mean_nees(rng, 40, shares=True)
+    assert low < nees < high
+
+
+def test_matches_taken_for_independent_make_it_too_sure(rng):
+    nees, (_, high) = mean_nees(rng, 30, shares=False)
+    assert nees > high
+
+
+
+
+def test_the_noise_of_a_keyframe_cancels_where_one_match_leads_to_it_and_the_next_from_it(rng):
+    """What a chain of keyframes says of its end is as wrong as the first and the last scan, however many it has."""
+    loose = CONFIG.model_copy(update={"acceleration_deviation": (1e3,) * 3, "initial_twist_deviation": (1e3,) * 3})
+    R, at = 1e-4 * np.eye(3), 0.0
+    state, _ = step(init(0.0, np.zeros(3), None, loose), Anchor(0.0, "lidar"))
+    for i in range(12):
+        match = RelativePoseMeasurement(at, i + 1.0, np.zeros(3), 2 * R, "lidar", None, R)
+        state, _ = step(state, Anchor(i + 1.0, "lidar", match))
+        at = i + 1.0
+    own = np.diag(state.belief.pose_covariance)[2]
+    assert 2e-4 <= own < 2.0e-4 + 12 * 0.1 * 1e-4 + 1e-6  # the part that is always taken for a match's own adds up
+
+
+def test_a_keyframe_that_no_match_leads_to_takes_its_noise_from_the_first_match(rng):
+    state, _ = step(init(0.0, np.zeros(3), None, CONFIG), Anchor(0.0, "lidar"))
+    z = np.array([0.1, 0.0, 0.02])
+    A = se2.adjoint(se2.inverse(z))
+    match = RelativePoseMeasurement(0.0, 0.1, z, SCAN + A @ SCAN @ A.T, "lidar", None, A @ SCAN @ A.T)
+    state, _ = step(state, match)
+    np.testing.assert_allclose(state.anchors["lidar"].own, SCAN, atol=1e-12)
+    before = np.diag(state.history[-1].P)[13:16]
+    assert np.all(before > 0.5 * np.diag(SCAN))
+    state, _ = step(state, replace(match, stamp=0.2))
+    assert np.all(np.diag(state.history[-1].P)[13:16] <= before)  # counted once
+
+
+def test_what_is_shared_may_be_all_there_is(rng):
+    """The rest of the covariance stays positive definite, and along a corridor both are huge."""
+    huge = np.diag([25.0, 1e-5, 1e-6])
+    state, _ = step(init(0.0, np.zeros(3), None, CONFIG), Anchor(0.0, "lidar"))
+    for i in range(1, 5):
+        event = RelativePoseMeasurement(0.0, 0.1 * i, np.array([0.1, 0.0, 0.0]), huge, "lidar", None, huge)
+        state, correction = step(state, event)
+        assert correction.status == "used"
+    assert np.linalg.eigvalsh(state.history[-1].P)[0] > -1e-12
+
+
+def test_a_keyframe_whose_match_says_nothing_finite_is_an_anchor_all_the_same():
+    state, _ = step(init(0.0, np.zeros(3), None, CONFIG), Anchor(0.0, "lidar"))
+    bad = RelativePoseMeasurement(0.0, 0.1, np.array([np.nan, 0.0, 0.0]), 2 * SCAN, "lidar", None, SCAN)
+    state, correction = step(state, Anchor(0.1, "lidar", bad))
+    assert correction.status == "refused"
+    assert state.anchors["lidar"].stamp == 0.1
+    assert np.all(np.isfinite(state.history[-1].mean))
+    assert len(state.history[-1].mean) == 16
+
+
+def test_a_match_of_another_stamp_makes_no_anchor():
+    with pytest.raises(EstimationError, match="of the same stamp and source"):
+        Anchor(0.2, "lidar", RelativePoseMeasurement(0.0, 0.1, np.zeros(3), SCAN, "lidar"))
+
+
+def test_late_keyframes_give_what_they_give_in_order(rng):
+    events, _ = events_of(rng)
+    config = CONFIG.model_copy(update={"history": 5.0, "noise_memory": 100.0})
+    sorted_, late = (init(0.0, np.zeros(3), None, config) for _ in range(2))
+    for event in in_order(events):
+        sorted_, _ = step(sorted_, event)
+    wheels = [e for e in events if e.source == "wheels"]
+    for event in [*wheels, *in_order(e for e in events if e.source == "lidar")]:
+        late, _ = step(late, event)
+    np.testing.assert_array_equal(late.belief.pose, sorted_.belief.pose)
+    np.testing.assert_array_equal(late.belief.covariance, sorted_.belief.covariance)
+    np.testing.assert_array_equal(late.history[-1].noise["lidar"].log, sorted_.history[-1].noise["lidar"].log)
