@@ -4,9 +4,10 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from longreach.app.localization import spread
+from longreach.app.seeds import spread
 
 pytest.importorskip("mujoco")
 
@@ -35,12 +36,45 @@ def test_its_recording_gives_the_same_estimate_again(out, run, tmp_path):
     assert [float(v) for v in second] == pytest.approx([float(v) for v in first], abs=1e-6)
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """The folder of a short line drawn with the loop closed and open."""
+    folder = tmp_path_factory.mktemp("dual") / "out"
+    command = ["-m", "longreach", "run", "dual-trajectory", "--length", "0.3", "--out", str(folder)]
+    subprocess.run([sys.executable, *command], check=True, capture_output=True)
+    return folder
+
+
+def test_the_hand_is_where_the_robot_thinks_as_far_as_it_knows_where_it_is(drawn):
+    metrics = json.loads((drawn / "metrics.json").read_text())
+    assert list(metrics)[:2] == ["closed", "open"]
+    closed = {name: m["value"] for name, m in metrics["closed"].items()}
+    assert closed["tool_tracking_error"] < 0.003
+    assert closed["tool_error"] <= closed["tool_estimate_error"] + 0.003
+    assert closed["tool_height_error_max"] < 0.001
+    names = {p.name for p in drawn.iterdir()}
+    assert {f"tool_{what}.tum" for what in ("reference", "estimate", "truth")} <= names
+    assert {"fused.tum", "wheels.tum", "lidar.tum", "truth.tum", "recording.mcap", "recording_open.mcap"} <= names
+
+
+def test_a_replay_of_its_recording_gives_the_estimate_that_the_robot_drove_by(drawn, run, tmp_path):
+    assert json.loads((drawn / "metrics.json").read_text())["closed"]["replay_difference_max"]["value"] < 1e-6
+    again = run("estimate", drawn / "recording.mcap", "--robot", "thing", "--out", tmp_path)
+    assert again.code == 0, again.err
+    first, second = (np.loadtxt(folder / "fused.tum") for folder in (drawn, tmp_path))
+    np.testing.assert_allclose(second, first, atol=1e-6)
+
+
 def test_many_runs_give_means_and_spreads():
     runs = [{"fused": {"ate_rmse": {"value": v, "unit": "m"}, "pairs": {"value": 3, "unit": ""}}} for v in (0.1, 0.3)]
     assert spread(runs) == {
         "fused": {
             "ate_rmse": {"value": pytest.approx(0.2), "unit": "m"},
             "ate_rmse_std": {"value": pytest.approx(0.1), "unit": "m"},
+            "ate_rmse_max": {"value": 0.3, "unit": "m"},
+            "pairs": {"value": 3.0, "unit": ""},
+            "pairs_std": {"value": 0.0, "unit": ""},
+            "pairs_max": {"value": 3.0, "unit": ""},
         }
     }
 

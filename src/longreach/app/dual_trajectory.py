@@ -45,7 +45,7 @@ MAIN = (
     "error_correlation",
 )
 _ROOMY = 3.0  # a longer line does not fit into the laboratory [m]
-_PACE = 0.1  # of the tool along its line [m/s]: 2 m in 20 s
+PACE = 0.1  # of the tool along its line [m/s]: 2 m in 20 s
 
 
 class DualTrajectoryConfig(BaseModel):
@@ -81,7 +81,7 @@ def planned(robot: MobileManipulator, config: DualTrajectoryConfig) -> tuple[Ref
         config.amplitude,
         periods=swings,
         waypoints=200 * swings,
-        duration=config.length / _PACE,
+        duration=config.length / PACE,
     )
     return reference, eased(plan(robot, reference, q0, iterations=20))
 

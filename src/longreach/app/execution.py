@@ -69,13 +69,14 @@ def execute(
     recording = recorded(done.readings, truths, f"{simulation.world.name}-{config.seed}", robot.description)
     settings = config.tracker.estimate.model_copy(update={"evaluation": EvaluationConfig(align="none")})
     replayed = estimate(recording, robot, settings, progress=tell)
-    return Execution(robot, plan, done, recording, truths, replayed, _traces(robot, done, truths))
+    traces = _traces(robot, done, truths, config.tracker.before)
+    return Execution(robot, plan, done, recording, truths, replayed, traces)
 
 
-def _traces(robot: MobileManipulator, done: Run, truths: list[Truth]) -> Traces:
-    """Return all at the stamps of the truth, between the first tick and the last."""
+def _traces(robot: MobileManipulator, done: Run, truths: list[Truth], before: float) -> Traces:
+    """Return all at the stamps of the truth, from where the plan begins to the last tick."""
     t = np.array([tick.stamp for tick in done.ticks])
-    known = [truth for truth in truths if t[0] <= truth.stamp <= t[-1]]
+    known = [truth for truth in truths if t[0] + before <= truth.stamp <= t[-1]]
     stamps = np.array([truth.stamp for truth in known])
     q_reference = _at(stamps, t, np.array([tick.q_reference for tick in done.ticks]), robot)
     q = _at(stamps, t, np.array([tick.q for tick in done.ticks]), robot)

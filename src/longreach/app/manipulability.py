@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.app.dual_trajectory import write_executions
+from longreach.app.dual_trajectory import PACE, write_executions
 from longreach.app.execution import Execution, ExecutionConfig, execute, loop_metrics
 from longreach.app.results import write_results
 from longreach.app.seeds import more_seeds
@@ -50,6 +50,7 @@ class ManipulabilityConfig(BaseModel):
     objective: Literal["sqrt_kappa_over_m", "neg_log_m"] = Field(
         default="sqrt_kappa_over_m", description="What is made small: (4.33), or -log M."
     )
+    length: float = Field(default=2.0, gt=0, description="Of the tool's line [m]; the thesis' 2 m.")
     base_radius: float = Field(default=0.01, gt=0, description="How far the base may be off [m]; the thesis' 1 cm.")
     heading_band: float = Field(default=0.1, gt=0, description="And how far its heading [rad]; the thesis' 0.1.")
     world: str = Field(default="laboratory", description="A shipped world, or a YAML file.")
@@ -62,7 +63,8 @@ def execute_both(config: ManipulabilityConfig, seed: int, tell: Progress) -> dic
     """Execute the optimised plan and the one that is not; both of the same reference, from their own first rows."""
     robot = load_robot(config.robot)
     q0 = robot.home
-    reference = dual_trajectory(robot.forward(q0), q0[robot.base])
+    T, base = robot.forward(q0), q0[robot.base]
+    reference = dual_trajectory(T, base, config.length, duration=config.length / PACE)
     problem = thesis_problem(config.base_radius, config.heading_band, objective=config.objective)
     tell("planning", 0.0)
     plans = {

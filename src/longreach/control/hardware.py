@@ -21,7 +21,7 @@ The double in the tests, `RecordedHardware`, is the shortest one that works.
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -101,6 +101,7 @@ class Promises:
     gripper: bool = False
 
 
+@runtime_checkable
 class Hardware(Protocol):
     """A robot that can be driven; the module's text is the template of a driver."""
 
