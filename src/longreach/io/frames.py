@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from longreach.geometry import se3
+from longreach.geometry import se3, so3
 from longreach.io.records import frame_name
 
 _BASES = ("base_link", "base_footprint")
@@ -19,12 +19,13 @@ class FrameTree:
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, np.ndarray]] = {}
         self._moving: set[str] = set()
+        self._placed: set[str] = set()
 
     def take(self, transforms: Iterable[Any]) -> None:
         """Take the transforms of one tf2_msgs/TFMessage."""
         for transform in transforms:
             child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
-            if child in self._moving:
+            if child in self._moving or child in self._placed:
                 continue
             t, q = transform.transform.translation, transform.transform.rotation
             values = np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
@@ -48,6 +49,18 @@ class FrameTree:
             else:
                 found[frame] = T
         return found, tuple(moving)
+
+    def place(self, parent: str, child: str, xyz: Float[np.ndarray, "3"], rpy: Float[np.ndarray, "3"]) -> None:
+        """Fix a frame in another [m, rad], whatever the recording says of it."""
+        w = so3.log(so3.from_roll_pitch_yaw(*rpy.tolist()))
+        angle = float(np.linalg.norm(w))
+        q_xyz = 0.5 * np.sinc(angle / (2 * np.pi)) * w  # sin(angle/2) · axis
+        self._parents[child] = (parent, np.array([*xyz, *q_xyz, np.cos(0.5 * angle)]))
+        self._placed.add(child)
+
+    def between(self, target: str, source: str) -> Float[np.ndarray, "4 4"] | None:
+        """Return T_target_source of two frames, or None where something between them moves or is not known."""
+        return np.eye(4) if target == source else self._between(target, source)
 
     def _names(self) -> set[str]:
         return self._parents.keys() | {parent for parent, _ in self._parents.values()}

@@ -1,0 +1,129 @@
+"""Compiled unscented prediction of the 15-state filter, and the two steps as robot_localization's UKF takes them.
+
+Sigma points x ± γ L_i with L Lᵀ = P and γ² = α² (15 + κ). Sums run over differences to the central point, which a small
+α would otherwise drown in rounding. Observations are linear in the state, or nearly so; for these the unscented
+correction is the extended one.
+"""
+
+import math
+
+import numpy as np
+
+from longreach.estimation._spatial_kernels import N, add_noise, cholesky, jacobian, move, propagate, wrap_angles
+from longreach.kernels import kernel
+
+
+@kernel
+def _semidefinite_root(P, L):
+    """L Lᵀ = P; a direction in which P is zero, or less by rounding, gives a column of zeros."""
+    for i in range(N):
+        for j in range(i):
+            total = P[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j], L[j, i] = total / L[j, j] if L[j, j] > 0.0 else 0.0, 0.0
+        total = P[i, i]
+        for k in range(i):
+            total -= L[i, k] * L[i, k]
+        L[i, i] = math.sqrt(total) if total > 1e-14 * P[i, i] else 0.0
+
+
+@kernel
+def predict(x, P, dt, lead, Q, speed, alpha, kappa, L, D):
+    """Unscented prediction of dt, in place; L (15, 15) and D (15,) are room to work in.
+
+    The mean of the moved points is taken on SE(3), where it is the central one: log(exp(ξ) T) is odd in ξ. The mean of
+    their coordinates would not be: with a heading uncertain by 1 rad it goes half as far as the robot.
+    """
+    R, centre, point = np.empty((3, 3)), np.empty(N), np.empty(N)
+    _semidefinite_root(P, L)
+    gamma = alpha * math.sqrt(N + kappa)
+    weight = 0.5 / (gamma * gamma)
+    position = (x[0], x[1], x[2])
+    x[0] = x[1] = x[2] = 0.0  # where it is has no say in how it moves, and would cost digits
+    move(x, dt, lead, R, centre)
+    P[:] = 0.0
+    for c in range(N):
+        for sign in range(2):
+            if sign == 0 or c < 12:  # the motion is linear in the accelerations
+                step = gamma - 2.0 * sign * gamma
+                for i in range(N):
+                    point[i] = x[i] + step * L[i, c]
+                move(point, dt, lead, R, D)
+            for i in range(N):
+                D[i] -= centre[i] if sign == 0 or c < 12 else 0.0
+            for i in range(N):
+                f = weight * D[i]
+                for j in range(i + 1):
+                    P[i, j] += f * D[j]
+    for i in range(N):
+        x[i] = centre[i]
+        for j in range(i):
+            P[j, i] = P[i, j]
+    for i in range(3):
+        x[i] += position[i]
+    wrap_angles(x)
+    add_noise(Q, dt, speed, P)
+
+
+@kernel
+def predict_rigidly(x, P, dt, Q, speed, bare, work):
+    """Prediction with all sigma points moved along the mean's orientation; `bare` (15, 15) gets P without the noise."""
+    R, J, moved = np.empty((3, 3)), np.empty((6, 12)), np.empty(N)
+    move(x, dt, 0.0, R, moved)
+    jacobian(x, dt, 0.0, R, J)
+    for i in range(6):
+        for k in range(3):
+            J[i, k] = 0.0
+    propagate(J, dt, P, work)
+    bare[:] = P
+    add_noise(Q, dt, speed, P)
+    x[:] = moved
+    wrap_angles(x)
+
+
+@kernel
+def correct_barely(x, P, bare, k, start, width, r, H, R, gate):
+    """Correction with the sigma points of the last prediction, which lack its noise, and P ← P - K (H P Hᵀ) Kᵀ.
+
+    Returns the NIS, above the gate of which nothing is taken.
+    """
+    HP, A, S, L, K = np.zeros((k, N)), np.zeros((k, k)), np.empty((k, k)), np.zeros((k, k)), np.empty((k, N))
+    for a in range(k):
+        for c in range(width):
+            for i in range(N):
+                HP[a, i] += H[a, c] * bare[start + c, i]
+    for a in range(k):
+        for b in range(k):
+            for c in range(width):
+                A[a, b] += H[b, c] * HP[a, start + c]
+            S[a, b] = A[a, b] + R[a, b]
+    if not cholesky(S, k, L):
+        return np.inf
+    y, nis = np.empty(k), 0.0
+    for i in range(N + 1):  # columns of S⁻¹ HP, and last S⁻¹ r
+        for a in range(k):
+            total = HP[a, i] if i < N else r[a]
+            for b in range(a):
+                total -= L[a, b] * y[b]
+            y[a] = total / L[a, a]
+        if i == N:
+            for a in range(k):
+                nis += y[a] * y[a]
+            break
+        for a in range(k - 1, -1, -1):
+            total = y[a]
+            for b in range(a + 1, k):
+                total -= L[b, a] * K[b, i]
+            K[a, i] = total / L[a, a]
+    if not nis < gate:
+        return nis if nis >= 0.0 else np.inf
+    for i in range(N):
+        for a in range(k):
+            x[i] += K[a, i] * r[a]
+            for b in range(k):
+                for j in range(N):
+                    P[i, j] -= K[a, i] * A[a, b] * K[b, j]
+    wrap_angles(x)
+    bare[:] = P
+    return nis
