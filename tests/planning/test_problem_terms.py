@@ -15,6 +15,7 @@ from longreach.planning.obstacles import Box, Capsule, Disc, LinkCapsule, link_c
 from longreach.planning.problem import Problem, evaluate
 from longreach.planning.tasks_range import BaseClearance, FieldOfView
 from longreach.planning.terms import Constraint, Cost, Waypoints
+from longreach.robot.manipulability import manipulability
 
 THING = lr.load_robot("thing")
 Q = np.array([0.3, -0.2, 0.4, 0.3, -1.9, 1.8, -1.4, -1.5, 0.2])
@@ -62,6 +63,52 @@ def test_the_derivative_of_every_term_is_that_of_its_value(term):
     assert_is_jacobian(lambda q: value_and_derivative(term, q)[0], J, Q, atol=2e-6)
 
 
+@pytest.mark.parametrize("term", CASES, ids=lambda term: f"{type(term).__name__}-{term.name}")
+def test_the_curvature_of_every_term_is_the_derivative_of_its_gradient_or_none(term, rng):
+    Z = np.eye(9)[None]
+    if isinstance(term, Cost):
+        H = term.curvature(at(Q), Z)[0]
+
+        def gradient(q):
+            return term.value_and_gradient(at(q))[1][0]
+    else:
+        v, _ = term.value_and_jacobian(at(Q))
+        y = rng.normal(size=v.shape)
+        if isinstance(term, terms_pose.BaseDisc):
+            y[:, 1:] = 0.0  # its polygon only says where the disc is
+        H = term.curvature(at(Q), y, Z)[0]
+
+        def gradient(q):
+            return y[0] @ term.value_and_jacobian(at(q))[1][0]
+
+        if not H.any() and not isinstance(term, terms_pose.BaseHeading):
+            pytest.skip("its curvature is of no use to the planner")
+    assert_is_jacobian(gradient, H, Q, atol=2e-4 * max(1.0, np.abs(H).max()))
+
+
+def test_curvature_without_a_rule_of_its_own_is_differenced(rng):
+    for term in (terms.Manipulability(), terms_pose.ToolPose()):
+        Z = rng.normal(size=(2, 9, 3))
+        both = at(np.stack([Q, Q + 0.1]))
+        y = () if isinstance(term, Cost) else (rng.normal(size=(2, 6)),)
+        kind = Cost if isinstance(term, Cost) else Constraint
+        np.testing.assert_allclose(kind.curvature(term, both, *y, Z), term.curvature(both, *y, Z), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("part", ["full", "arm"])
+@pytest.mark.parametrize("objective", ["sqrt_kappa_over_m", "neg_log_m", "neg_m", "kappa"])
+def test_manipulability_along_a_path_is_the_robots_own(objective, part, rng):
+    q = Q + np.cumsum(0.1 * rng.normal(size=(30, 9)), axis=0)
+    q[7, 5] = 0.0  # the elbow straight: singular for the arm
+    f, g = terms.Manipulability(objective, part).value_and_gradient(at(q))
+    name = {"neg_log_m": "log_m", "neg_m": "m"}.get(objective, objective)
+    value, gradient = manipulability(THING, q, name, part)
+    sign = -1.0 if objective.startswith("neg") else 1.0
+    np.testing.assert_allclose(f, sign * value, rtol=1e-9)
+    scale = np.abs(gradient).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(g / scale, sign * gradient / scale, atol=1e-8)
+
+
 def test_no_term_is_left_out():
     for module in pkgutil.iter_modules(longreach.planning.__path__, "longreach.planning."):
         importlib.import_module(module.name)
@@ -78,7 +125,6 @@ def test_many_waypoints_at_once_are_each_by_itself(term, rng):
         together = term.value_and_jacobian(at(many))
         lower, upper = term.bounds(at(many))
         assert lower.shape == upper.shape == together[0].shape
-        assert term.bending(together[0]).shape == together[0].shape
     for i, q in enumerate(many):
         value, derivative = value_and_derivative(term, q)
         np.testing.assert_allclose(np.atleast_2d(together[0][i]).ravel(), value, atol=1e-12)

@@ -6,6 +6,7 @@ import numpy as np
 
 from longreach.kernels import kernel
 from longreach.planning import _task_kernels
+from longreach.robot._kinematics_kernels import forward_jacobian
 
 _DEPENDENT = 1e-10  # a row this much of the first, once those before it are taken out, is no new equation
 
@@ -15,6 +16,34 @@ def tool_errors(T_target, T, J, e, A):
     """Fill e (m, 6) with log(T_target⁻¹ T) (4.28) and A (m, 6, n) with its derivative, for m poses (m, 4, 4)."""
     for i in range(len(T)):
         _task_kernels.pose_error_and_jacobian(T_target[i], T[i], J[i], e[i], A[i])
+
+
+@kernel
+def _pulled(A, multipliers, out):
+    for j in range(len(out)):
+        out[j] = 0.0
+    for i in range(len(multipliers)):
+        for j in range(len(out)):
+            out[j] += multipliers[i] * A[i, j]
+
+
+@kernel
+def tool_curvature(fixed, prismatic, q, T_target, T, J, multipliers, Z, step, out):
+    """Fill out (w, n, p) with what steps along Z (w, n, p) change of Aᵀ λ, A as in `tool_errors`, λ (w, 6)."""
+    n = q.shape[1]
+    e, A, here, there = np.empty(6), np.empty((6, n)), np.empty(n), np.empty(n)
+    x, T_moved, J_moved = np.empty(n), np.empty((4, 4)), np.empty((6, n))
+    for w in range(len(q)):
+        _task_kernels.pose_error_and_jacobian(T_target[w], T[w], J[w], e, A)
+        _pulled(A, multipliers[w], here)
+        for l in range(Z.shape[2]):
+            for j in range(n):
+                x[j] = q[w, j] + step * Z[w, j, l]
+            forward_jacobian(fixed, prismatic, x, T_moved, J_moved)
+            _task_kernels.pose_error_and_jacobian(T_target[w], T_moved, J_moved, e, A)
+            _pulled(A, multipliers[w], there)
+            for j in range(n):
+                out[w, j, l] = (there[j] - here[j]) / step
 
 
 @kernel
@@ -139,60 +168,3 @@ def correct(A, r, used, d):
             y[i] /= L[i, i]
             for l in range(n):
                 d[w, l] += A[w, rows[i], l] * y[i]
-
-
-@kernel
-def _factor_row(B, L, i):
-    """Fill row i of the banded Cholesky factor L of the banded lower matrix B; return whether there is one.
-
-    B[i, w - 1 - o] and L[i, w - 1 - o] are the entries (i, i - o), w the width of the band.
-    """
-    w = B.shape[1]
-    for o in range(min(i, w - 1), -1, -1):
-        j = i - o
-        total = B[i, w - 1 - o]
-        for l in range(max(0, i - w + 1, j - w + 1), j):
-            total -= L[i, w - 1 - i + l] * L[j, w - 1 - j + l]
-        if o == 0:
-            if total <= 0.0:
-                return False
-            L[i, w - 1] = math.sqrt(total)
-        else:
-            L[i, w - 1 - o] = total / L[j, w - 1]
-    return True
-
-
-@kernel
-def mend(H, convex, band, floor):
-    """Put blocks of `convex` (N, p, p) for those of H (N, p, p) until H + links' curvature is convex.
-
-    band (N p, width): the links' curvature, banded as `_factor_row` has it. Where factoring fails, the last waypoint
-    that can give way does. No eigenvalue is below the floor then; return whether it came out.
-    """
-    N, p, _ = H.shape
-    w = band.shape[1]
-    B, L = band.copy(), np.zeros(band.shape)
-    mended = np.zeros(N, dtype=np.bool_)
-    for k in range(N):
-        for a in range(p):
-            for b in range(a + 1):
-                B[k * p + a, w - 1 - a + b] += H[k, a, b] - (floor if a == b else 0.0)
-    k = 0
-    while k < N:
-        fine = True
-        for a in range(p):
-            fine = fine and _factor_row(B, L, k * p + a)
-        if fine:
-            k += 1
-            continue
-        while k >= 0 and mended[k]:
-            k -= 1
-        if k < 0:
-            return False
-        mended[k] = True
-        for a in range(p):
-            for b in range(p):
-                if b <= a:
-                    B[k * p + a, w - 1 - a + b] += convex[k, a, b] - H[k, a, b]
-                H[k, a, b] = convex[k, a, b]
-    return True

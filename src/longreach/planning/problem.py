@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from longreach.errors import PlanningError
 from longreach.planning.links import Link, LinkLimit, Smoothness
-from longreach.planning.terms import Constraint, Cost, Jacobians, Values, Waypoints
+from longreach.planning.terms import Constraint, Cost, Directions, Jacobians, Values, Waypoints
 
 LIMITS = "joint limits"
 
@@ -128,10 +128,13 @@ def _check(name: str, *arrays: np.ndarray) -> None:
         raise PlanningError(f"The term {name!r} gave a value that is not finite; look at what it is given.")
 
 
-def bending(problem: Problem, layout: Layout, multipliers: Values) -> Values:
-    """Return by what each constraint's second derivatives count in the Lagrangian's (w, m)."""
-    out = np.empty_like(multipliers)
+def curvature(problem: Problem, layout: Layout, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+    """Return ∇²L Z of the Lagrangian of all terms but the links, (w, n, p)."""
+    out = np.zeros(Z.shape)
+    for cost in problem.costs:
+        out += cost.weight * cost.curvature(at, Z)
     for i, constraint in enumerate(problem.constraints):
-        mine = layout.owner == i
-        out[:, mine] = constraint.bending(multipliers[:, mine])
+        lam = multipliers[:, layout.owner == i]
+        if lam.any():
+            out += constraint.curvature(at, lam, Z)
     return out

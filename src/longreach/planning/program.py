@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from longreach.errors import PlanningError
 from longreach.planning.links import LinkLimit, Smoothness
-from longreach.planning.problem import Evaluation, Layout, Problem, evaluate
+from longreach.planning.problem import Evaluation, Layout, Problem, curvature, evaluate
 from longreach.planning.subproblem import Difference
 from longreach.planning.terms import Waypoints
 from longreach.reference import Reference
@@ -69,6 +69,15 @@ class Program:
         """Return the constraints' values alone."""
         at = Waypoints(self.robot, self.reference, self.index[which].ravel(), x.reshape(-1, x.shape[-1]))
         return evaluate(self.feasibility, at).c.reshape(*x.shape[:2], -1)
+
+    def curvature(
+        self, x: Trajectories, which: Int[np.ndarray, " B"], multipliers: Float[np.ndarray, "B N m"], Z: np.ndarray
+    ) -> Float[np.ndarray, "B N n p"]:
+        """Return the Lagrangian's curvature along the directions Z (B, N, n, p)."""
+        B, N, n, p = Z.shape
+        at = Waypoints(self.robot, self.reference, self.index[which].ravel(), x.reshape(-1, n))
+        lam = multipliers.reshape(B * N, -1)
+        return curvature(self.problem, self.layout, at, lam, Z.reshape(-1, n, p)).reshape(Z.shape)
 
     def bounds(
         self, which: Int[np.ndarray, " B"], N: int

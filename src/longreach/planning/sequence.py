@@ -1,8 +1,6 @@
-"""The subproblems of a whole trajectory, by piqp.
+"""The subproblems of a whole trajectory: our own solver, which knows that only neighbours are coupled, else piqp."""
 
-Of the many rows few ever bind, so that a row takes part only once a solution has been near it.
-"""
-
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,145 +8,132 @@ import piqp
 import scipy.sparse as sp
 from jaxtyping import Float
 
+from longreach.planning import _band_kernels as bands
+from longreach.planning import _sequence_kernels as kernels
 from longreach.planning.subproblem import Difference, Step, Subproblem
 
-_CROSSED = 1e-9  # by which a row must be violated to take part
-_BINDS = 1e-9  # a multiplier that is more than rounding
-_NEAR = 2e-4  # [m, rad] from a bound: the next step may come to it
-_ROUNDS = 30
+_NEAR = 0.2  # part of the trust region: what is so near a bound takes part at first
+_FIRST, _LATER = 1e3, 1e4  # stiffness of rows in the curvature's measure, without multipliers to start from and with
+_NEXT = 2.0  # steps farther than the last one, a bound takes no part at first
 
-Rows = tuple[sp.csr_matrix, np.ndarray, np.ndarray]
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows a z in z (N p,): a is data[i, :count[i]] from the variable first[i] on. Their bounds, and last those of z."""
+
+    data: Float[np.ndarray, "m w"]
+    first: np.ndarray
+    count: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
 class Sequence:
-    """The subproblems of one trajectory: it remembers which rows were near the last one's solution."""
+    """The subproblems of one trajectory: it remembers what the last one's rows pulled, and how far it went."""
 
     def __init__(self) -> None:
-        self.part = np.zeros(0, dtype=bool)
-        self.pull = np.zeros(0)
+        self.pulls = np.zeros(0)
+        self.far = 0.0
 
     def solve(self, q: Subproblem) -> Step | None:
         """Return the step, or None where the rows contradict each other."""
-        P, c = _curvature(q)
-        G, low, high = _rows(q)
-        if len(self.part) != len(low):
-            self.part, self.pull = np.zeros(len(low), dtype=bool), np.zeros(len(low))
-        for _ in range(_ROUNDS):
-            found = _piqp(P, c, (G[self.part], low[self.part], high[self.part]), q.reach, q.exact)
+        N, _, p = q.Z.shape
+        rows = _rows(q)
+        z, y = np.zeros(N * p), np.zeros(len(rows.low))
+        if p == 0:
+            return _step(q, z, y) if np.all((rows.low <= q.exact) & (rows.high >= -q.exact)) else None
+        B, c = _curvature(q, rows.data.shape[1])
+        stiff, near = _FIRST, _NEAR * q.reach
+        if len(self.pulls) == len(y):
+            y[:], stiff, near = self.pulls, _LATER, _NEXT * self.far
+        stiff *= float(np.median(B[:, -1]))
+        prices = np.full(len(y), np.inf)
+        parts = (rows.data, rows.first, rows.count, rows.low, rows.high)
+        if not kernels.solve(B, c, *parts, prices, stiff, near, q.exact, z, y):
+            found = _piqp(B, c, rows, q.exact)
             if found is None:
                 return None
-            v = G @ found[0]
-            new = ((v < low - _CROSSED) | (v > high + _CROSSED)) & ~self.part
-            if not new.any():
-                self.pull[:] = 0.0
-                self.pull[self.part] = found[1]
-                self.part = (np.abs(self.pull) > _BINDS) | (v < low + _NEAR) | (v > high - _NEAR)
-                return self._step(q, found[0])
-            self.part |= new
-        return None
+            z, y = found
+        self.pulls, self.far = y, float(np.abs(z).max())
+        return _step(q, z, y)
 
-    def _step(self, q: Subproblem, z: np.ndarray) -> Step:
-        """Return the step with each row's multiplier."""
-        N, _, p = q.Z.shape
-        shapes = [q.lower.shape, *(link.lower.shape for link in q.limits)]
-        parts = np.split(self.pull, np.cumsum([a * b for a, b in shapes])[:-1])
-        rows, *links = (part.reshape(shape).copy() for part, shape in zip(parts, shapes, strict=True))
-        return Step(q.d0 + np.einsum("kjp,kp->kj", q.Z, z.reshape(N, p)), rows, tuple(links))
+
+def _step(q: Subproblem, z: np.ndarray, y: np.ndarray) -> Step:
+    """Return the step with each row's multiplier."""
+    N, _, p = q.Z.shape
+    shapes = [q.lower.shape, *(link.lower.shape for link in q.limits)]
+    parts = np.split(y, np.cumsum([a * b for a, b in shapes]))
+    rows, *links = (part.reshape(shape).copy() for part, shape in zip(parts, shapes, strict=False))
+    return Step(q.d0 + np.einsum("kjp,kp->kj", q.Z, z.reshape(N, p)), rows, tuple(links))
 
 
 def _rows(q: Subproblem) -> Rows:
-    """Return all rows in z, the waypoints' and then the links', with their bounds."""
-    N, _, p = q.Z.shape
-    GZ = q.G @ q.Z
-    r = GZ.shape[1]
-    at = np.einsum("krj,kj->kr", q.G, q.d0)
-    data, low, high = [GZ.ravel()], [(q.lower - at).ravel()], [(q.upper - at).ravel()]
-    columns = [(np.arange(N)[:, None, None] * p + np.zeros((r, 1), dtype=int) + np.arange(p)).ravel()]
-    counts = [np.full(N * r, p)]
-    for link in q.limits:
-        k, n = link.lower.shape
-        width = link.coefficients.shape[1]
-        terms = [link.coefficients[:, i, None, None] * q.Z[i : i + k] for i in range(width)]
-        data.append(np.stack(terms, axis=2).ravel())  # (k, n, width, p)
-        columns.append((np.arange(k)[:, None, None] * p + np.zeros((n, 1), dtype=int) + np.arange(width * p)).ravel())
-        counts.append(np.full(k * n, width * p))
-        at = link.of(q.d0)
-        low.append((link.lower - at).ravel())
-        high.append((link.upper - at).ravel())
-    starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    G = sp.csr_matrix((np.concatenate(data), np.concatenate(columns), starts), shape=(len(starts) - 1, N * p))
-    return G, np.concatenate(low), np.concatenate(high)
+    """Return all rows in z: the waypoints', then the links', with their bounds and the trust region's."""
+    N, n, p = q.Z.shape
+    r = q.G.shape[1]
+    sizes = [N * r, *(link.lower.size for link in q.limits)]
+    stops = np.cumsum(sizes)
+    data = np.zeros((stops[-1], p * _width(q)))
+    at = np.zeros(stops[-1] + N * p)
+    kernels.waypoint_rows(q.G, q.Z, q.d0, data, at)
+    first, count = [np.repeat(np.arange(N) * p, r)], [np.full(N * r, p)]
+    for link, start, stop in zip(q.limits, stops[:-1], stops[1:], strict=True):
+        k, width = link.coefficients.shape
+        kernels.link_rows(link.coefficients, q.Z, q.d0, data[start:stop], at[start:stop])
+        first.append(np.repeat(np.arange(k) * p, n))
+        count.append(np.full(k * n, width * p))
+    box = np.full(N * p, q.reach)
+    low = np.concatenate([q.lower.ravel(), *(link.lower.ravel() for link in q.limits), -box])
+    high = np.concatenate([q.upper.ravel(), *(link.upper.ravel() for link in q.limits), box])
+    return Rows(data, np.concatenate(first), np.concatenate(count), low - at, high - at)
 
 
-def link_bands(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...]) -> list[np.ndarray]:
-    """Return the links' curvature in z: blocks (N - o, p, p) of waypoints k and k + o, for o = 0, 1, ..."""
-    N, _, p = Z.shape
-    width = max((cost.coefficients.shape[1] for cost in costs), default=1)
-    bands = [np.zeros((N - o, p, p)) for o in range(width)]
+def _width(q: Subproblem) -> int:
+    """Return how many neighbours are coupled at once."""
+    return max((link.coefficients.shape[1] for link in (*q.costs, *q.limits)), default=1)
+
+
+def add_costs(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...], B: Float[np.ndarray, "Np w"]) -> None:
+    """Add the links' curvature in z to the band B."""
     for cost in costs:
-        k, width = cost.coefficients.shape
-        for i in range(width):
-            for j in range(i, width):
-                weight = (
-                    np.broadcast_to(cost.curvature, (k, Z.shape[1]))
-                    * (cost.coefficients[:, i] * cost.coefficients[:, j])[:, None]
-                )
-                bands[j - i][i : i + k] += (Z[i : i + k] * weight[:, :, None]).transpose(0, 2, 1) @ Z[j : j + k]
-    return bands
+        shape = (len(cost.coefficients), Z.shape[1])
+        curvature = np.ascontiguousarray(np.broadcast_to(np.asarray(cost.curvature, dtype=float), shape))
+        bands.add_links(Z, cost.coefficients, curvature, B)
 
 
-def banded(bands: list[np.ndarray]) -> np.ndarray:
-    """Return the symmetric matrix of blocks, see `link_bands`, by its lower band (N p, width), see `mend`."""
-    N, p, _ = bands[0].shape
-    width = p * len(bands)
-    out = np.zeros((N * p, width))
-    a, b = np.meshgrid(np.arange(p), np.arange(p), indexing="ij")
-    for o, band in enumerate(bands):
-        i = (np.arange(o, N)[:, None] * p + b.ravel()).ravel()
-        j = (np.arange(N - o)[:, None] * p + a.ravel()).ravel()
-        keep = i >= j
-        out[i[keep], (width - 1 - i + j)[keep]] = band.ravel()[keep]
-    return out
-
-
-def _curvature(q: Subproblem) -> tuple[sp.csc_matrix, np.ndarray]:
-    """Return the upper triangle of the quadratic cost in z, and its gradient at z = 0."""
+def _curvature(q: Subproblem, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the band of the quadratic cost in z, and its gradient at z = 0."""
     N, _, p = q.Z.shape
-    bands = link_bands(q.Z, q.costs)
-    bands[0] += q.H
+    B = np.zeros((N * p, width))
+    bands.add_blocks(q.H, B)
+    add_costs(q.Z, q.costs, B)
     g = q.g
     for cost in q.costs:
         g = g + cost.pull(q.d0)
-    a, b = np.meshgrid(np.arange(p), np.arange(p), indexing="ij")
-    rows, columns, data = [], [], []
-    for o, band in enumerate(bands):
-        keep = a <= b if o == 0 else np.ones((p, p), dtype=bool)
-        start = np.arange(N - o)[:, None] * p
-        rows.append((start + a[keep]).ravel())
-        columns.append((start + o * p + b[keep]).ravel())
-        data.append(band[:, keep].ravel())
-    place = (np.concatenate(rows), np.concatenate(columns))
-    P = sp.csc_matrix((np.concatenate(data), place), shape=(N * p, N * p))
-    return P, np.einsum("kjp,kj->kp", q.Z, g).ravel()
+    return B, np.einsum("kjp,kj->kp", q.Z, g).ravel()
 
 
-def _piqp(
-    P: sp.csc_matrix, c: np.ndarray, rows: Rows, reach: float, exact: float
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _piqp(B: np.ndarray, c: np.ndarray, rows: Rows, exact: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return z and all multipliers by piqp, or None where the rows contradict each other."""
+    n, w = B.shape
+    m = len(rows.data)
+    inside = np.arange(w)[None] >= w - 1 - np.arange(n)[:, None]
+    above = (np.arange(n)[:, None] - (w - 1) + np.arange(w))[inside]
+    P = sp.csc_matrix((B[inside], (above, np.repeat(np.arange(n), inside.sum(axis=1)))), shape=(n, n))
+    used = np.arange(w)[None] < rows.count[:, None]
+    columns = (rows.first[:, None] + np.arange(w))[used]
+    G = sp.csr_matrix((rows.data[used], columns, np.append(0, np.cumsum(rows.count))), shape=(m, n))
     solver: Any = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = exact
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.1 * exact
     solver.settings.preconditioner_iter = 2  # a waypoint's numbers are of like size
-    box = np.full(len(c), reach)
-    G, low, high = rows
-    some = len(low) > 0
-    solver.setup(P, c, None, None, *((G.tocsc(), low, high) if some else (None, None, None)), -box, box)
+    some = (G.tocsc(), rows.low[:m], rows.high[:m]) if m else (None, None, None)
+    solver.setup(P, c, None, None, *some, rows.low[m:], rows.high[m:])
     status, result = solver.solve(), solver.result
     nearly = status in (piqp.PIQP_MAX_ITER_REACHED, piqp.PIQP_NUMERICS)
     if status != piqp.PIQP_SOLVED and not (nearly and max(result.info.primal_res, result.info.dual_res) < 1e-7):
         return None
-    if not some:
-        return np.array(result.x), np.empty(0)
-    y = result.z_u - result.z_l
-    slack = np.minimum(result.s_l, result.s_u)
-    return np.array(result.x), np.where(np.abs(y) > slack, y, 0.0)  # an interior point leaves a little everywhere
+    y = result.z_u - result.z_l if m else np.empty(0)
+    slack = np.minimum(result.s_l, result.s_u) if m else np.empty(0)
+    y = np.where(np.abs(y) > slack, y, 0.0)  # an interior point leaves a little everywhere
+    return np.array(result.x), np.append(y, result.z_bu - result.z_bl)

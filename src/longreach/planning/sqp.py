@@ -30,7 +30,7 @@ class SqpConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     accept: float = Field(default=0.25, ge=0, lt=1)  # c, the least TrueImprove/ModelImprove of a step that is taken
-    shrink: float = Field(default=0.1, gt=0, lt=1)  # τ⁻, of the trust region after a step that is not
+    shrink: float = Field(default=0.5, gt=0, lt=1)  # τ⁻, of the trust region after a step that is not; TrajOpt's is 0.1
     expand: float = Field(default=1.5, ge=1)  # τ⁺, of the trust region after a step that is
     trust: float = Field(default=0.1, gt=0)  # δ [rad, m] at first: the farthest one joint goes in one iteration
     least_trust: float = Field(default=1e-8, gt=0)  # δ below which nothing more is to be had; TrajOpt's is 1e-4

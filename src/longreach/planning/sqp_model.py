@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from longreach.planning import _band_kernels as bands
 from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.elastic import elastic
-from longreach.planning.problem import bending
-from longreach.planning.sequence import banded, link_bands
-from longreach.planning.subproblem import EXACT, Difference, Step, Subproblem, one_waypoint
+from longreach.planning.sequence import add_costs
+from longreach.planning.subproblem import Difference, Step, Subproblem, one_waypoint
 
 if TYPE_CHECKING:
     from longreach.planning.sqp import Run
 
 HOLDS = 1e-6  # a multiplier that is more than rounding
-_DIFFERENCE = 1e-6  # [rad, m] between the gradients whose difference is the curvature
 _HELD = 10.0  # curvature across inequalities that hold, in the Lagrangian's own
 _SURELY = 1e-4  # curvature of a subproblem at the least, where it is convex only all in all
 
@@ -102,18 +101,12 @@ def convexify(run: Run, todo: np.ndarray) -> Model:
 
 
 def _curvature(run: Run, todo: np.ndarray, Z: np.ndarray) -> np.ndarray:
-    """Return Zᵀ ∇²L Z (b, N, p, p) with its eigenvalues lifted to the floor; gradients are differenced along Z."""
-    program = run.program
-    b, N, n, p = Z.shape
+    """Return Zᵀ ∇²L Z (b, N, p, p), with what `_held` adds."""
+    b, N, _, p = Z.shape
     if p == 0:
         return np.empty((b, N, 0, 0))
-    lam = bending(program.problem, program.layout, run.lam[todo].reshape(b * N, -1)).reshape(b, N, -1)
-    x = run.x[todo, None] + _DIFFERENCE * np.moveaxis(Z, 3, 1)  # (b, p, N, n)
-    e = program.evaluate(x.reshape(b * p, N, n), np.repeat(todo, p))
-    pull = np.swapaxes(e.A.reshape(b, p, N, -1, n), 3, 4) @ lam[:, None, :, :, None]
-    moved = e.g.reshape(b, p, N, n) + pull[..., 0]
-    here = run.g[todo] + (np.swapaxes(run.A[todo], 2, 3) @ lam[..., None])[..., 0]
-    H = np.einsum("bkja,bckj->bkac", Z, moved - here[:, None]) / _DIFFERENCE
+    bent = run.program.curvature(run.x[todo], todo, run.lam[todo], Z)
+    H = np.swapaxes(Z, 2, 3) @ bent
     H = 0.5 * (H + np.swapaxes(H, 2, 3))
     return H + _held(run, todo, Z, np.abs(H).max(axis=(2, 3), initial=1.0))
 
@@ -147,7 +140,10 @@ def _convex(H: np.ndarray, floor: float) -> np.ndarray:
 def _together(H: np.ndarray, convex: np.ndarray, Z: np.ndarray, costs: tuple[Difference, ...]) -> np.ndarray:
     """Return curvature (1, N, p, p) that is convex with the links' all in all: a waypoint's own where need be."""
     mixed = H[0].copy()
-    fine = kernels.mend(mixed, convex[0], banded(link_bands(Z[0], costs)), _SURELY)
+    _, N, p, _ = H.shape
+    links = np.zeros((N * p, p * max((cost.coefficients.shape[1] for cost in costs), default=1)))
+    add_costs(Z[0], costs, links)
+    fine = bands.mend(mixed, convex[0], links, _SURELY)
     return mixed[None] if fine else convex
 
 
@@ -181,7 +177,7 @@ def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
 
 
 def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
-    exact = float(np.clip(1e-6 * run.kkt[b], EXACT, 1e-8))  # far from a solution there is no use in digits
+    exact = float(np.clip(1e-4 * run.kkt[b], 1e-9, 1e-7))  # far from a solution there is no use in digits
     limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
     parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
     return Subproblem(*parts, run.trust[b], exact, (*run.program.costs, *run.held), limits)

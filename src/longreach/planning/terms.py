@@ -1,8 +1,8 @@
 """Terms that an optimisation problem is made of: costs and constraints of single waypoints, each with its derivative.
 
 All waypoints are evaluated at once. A cost gives one number a waypoint, a constraint m values that shall lie between
-bounds; where both bounds are the same it is an equation. Curvature is not a term's own: `sqp` differences analytic
-gradients along the few directions that the equations leave free.
+bounds; where both bounds are the same it is an equation. Curvature is asked for along the few directions that the
+equations leave free; a term that does not know it differences its analytic gradients.
 """
 
 from abc import ABC, abstractmethod
@@ -13,12 +13,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from longreach.errors import PlanningError
+from longreach.planning import _measure_kernels as kernels
 from longreach.reference import Reference
-from longreach.robot.manipulability import Measure, Part, manipulability
+from longreach.robot.manipulability import Part
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 Values = Float[np.ndarray, "w m"]
 Jacobians = Float[np.ndarray, "w m n"]
+Directions = Float[np.ndarray, "w n p"]
+_SIX = 6  # joints; with fewer no tool moves in all directions
+STEP = 1e-6  # [rad, m] between the gradients whose difference is curvature
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,12 @@ class Waypoints:
     def __len__(self) -> int:
         return len(self.q)
 
+    def moved(self, step: float, Z: Directions) -> "Waypoints":
+        """Return w p waypoints, each of these a step along each of its directions."""
+        w, n, p = Z.shape
+        q = self.q[:, None] + step * Z.transpose(0, 2, 1)
+        return Waypoints(self.robot, self.reference, np.repeat(self.index, p), q.reshape(w * p, n))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Term(ABC):
@@ -65,6 +75,11 @@ class Cost(Term):
     def value_and_gradient(self, at: Waypoints) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, "w n"]]:
         """Return f (w,) and ∂f/∂q (w, n), without the weight."""
 
+    def curvature(self, at: Waypoints, Z: Directions) -> Directions:
+        """Return ∇²f Z, without the weight."""
+        here = self.value_and_gradient(at)[1]
+        return _differences(here, self.value_and_gradient(at.moved(STEP, Z))[1], Z)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Constraint(Term):
@@ -78,9 +93,17 @@ class Constraint(Term):
     def value_and_jacobian(self, at: Waypoints) -> tuple[Values, Jacobians]:
         """Return v (w, m) and ∂v/∂q (w, m, n)."""
 
-    def bending(self, multipliers: Values) -> Values:
-        """Return by what to multiply each value's second derivative, so that it is worth having; (w, m)."""
-        return multipliers
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        """Return Σ λ ∇²v Z for multipliers λ (w, m)."""
+        here = np.einsum("wmj,wm->wj", self.value_and_jacobian(at)[1], multipliers)
+        A = self.value_and_jacobian(at.moved(STEP, Z))[1]
+        return _differences(here, np.einsum("wmj,wm->wj", A, np.repeat(multipliers, Z.shape[2], axis=0)), Z)
+
+
+def _differences(here: np.ndarray, there: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Return what gradients (w p, n) at the places that Z led to differ by from those (w, n) here, as (w, n, p)."""
+    w, n, p = Z.shape
+    return (there.reshape(w, p, n).transpose(0, 2, 1) - here[:, :, None]) / STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +118,12 @@ class Manipulability(Cost):
     length: float = 1.0
     name: str = field(default="manipulability", kw_only=True)
 
-    _MEASURES: ClassVar[dict[str, tuple[Measure, float]]] = {
-        "sqrt_kappa_over_m": ("sqrt_kappa_over_m", 1.0),
-        "neg_log_m": ("log_m", -1.0),
-        "neg_m": ("m", -1.0),
-        "kappa": ("kappa", 1.0),
+    # By what log M and log κ count, whether that is an exponent, and the sign.
+    _MEASURES: ClassVar[dict[str, tuple[float, float, bool, float]]] = {
+        "sqrt_kappa_over_m": (-0.5, 0.5, True, 1.0),
+        "neg_log_m": (1.0, 0.0, False, -1.0),
+        "neg_m": (1.0, 0.0, True, -1.0),
+        "kappa": (0.0, 1.0, True, 1.0),
     }
 
     def __post_init__(self) -> None:
@@ -108,11 +132,33 @@ class Manipulability(Cost):
             raise PlanningError(f"There is no objective {self.objective!r}; there are {', '.join(self._MEASURES)}.")
         if self.part not in ("full", "arm"):
             raise PlanningError(f"There is no manipulability {self.part!r}; there are full and arm.")
+        if not 0.0 < self.length < np.inf:
+            raise PlanningError(f"The length of {self.name!r} is {self.length} m; it must be above 0 and finite.")
 
     def value_and_gradient(self, at: Waypoints) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, "w n"]]:
-        measure, sign = self._MEASURES[self.objective]
-        value, gradient = manipulability(at.robot, at.q, measure, self.part, self.length)
-        return sign * value, sign * gradient
+        a, b, exponential, sign = self._MEASURES[self.objective]
+        value, gradient = np.empty(len(at)), np.empty(at.q.shape)
+        kernels.values(at.J, self._first(at), float(self.length), a, b, value, gradient)
+        if not exponential:
+            return sign * value, sign * gradient
+        value = sign * np.exp(value)
+        return value, value[:, None] * gradient
+
+    def curvature(self, at: Waypoints, Z: Directions) -> Directions:
+        a, b, exponential, sign = self._MEASURES[self.objective]
+        out = np.empty(Z.shape)
+        chain = (at.robot.fixed, at.robot.prismatic, at.q, at.J)
+        kernels.curvature(*chain, Z, self._first(at), float(self.length), a, b, exponential, STEP, out)
+        return sign * out
+
+    def _first(self, at: Waypoints) -> int:
+        first = at.robot.arm.start if self.part == "arm" else 0
+        if at.robot.dof - first < _SIX:
+            raise PlanningError(
+                f"{self.name!r} needs six joints, but {at.robot.name} has {at.robot.dof - first} in its {self.part} "
+                "Jacobian."
+            )
+        return first
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,3 +179,6 @@ class NearSeed(Cost):
     def value_and_gradient(self, at: Waypoints) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, "w n"]]:
         d = at.q - (self.seed if len(self.seed) == 1 else self.seed[at.index])
         return np.sum(self.joint_weights * d**2, axis=1), 2.0 * self.joint_weights * d
+
+    def curvature(self, at: Waypoints, Z: Directions) -> Directions:
+        return 2.0 * self.joint_weights[:, None] * Z

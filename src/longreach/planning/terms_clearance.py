@@ -9,7 +9,7 @@ from longreach.errors import PlanningError
 from longreach.planning import _clearance_kernels as kernels
 from longreach.planning.obstacles import Box, Capsule, Disc, LinkCapsule, Obstacle, link_capsules
 from longreach.planning.task import target_array
-from longreach.planning.terms import Constraint, Jacobians, Values, Waypoints
+from longreach.planning.terms import Constraint, Directions, Jacobians, Values, Waypoints
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -61,8 +61,8 @@ class Clearance(Constraint):
                 jacobians.append(np.take_along_axis(A, nearest[:, :, None], 1))
         return np.hstack(values), np.concatenate(jacobians, axis=1)
 
-    def bending(self, multipliers: Values) -> Values:
-        return np.zeros_like(multipliers)  # distances bend away, which costs no step but wants many evaluations
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        return np.zeros_like(Z)  # distances bend away, which costs no step but wants many evaluations
 
 
 def _distances(
@@ -140,8 +140,8 @@ class SelfClearance(Constraint):
             jacobians.append(A)
         return np.hstack(values), np.concatenate(jacobians, axis=1)
 
-    def bending(self, multipliers: Values) -> Values:
-        return np.zeros_like(multipliers)
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        return np.zeros_like(Z)  # as above
 
 
 def least_clearance(

@@ -7,10 +7,11 @@ import numpy as np
 from longreach.errors import PlanningError
 from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.task import Task
-from longreach.planning.terms import Constraint, Jacobians, Values, Waypoints
+from longreach.planning.terms import STEP, Constraint, Directions, Jacobians, Values, Waypoints
 
 _TURNS = np.arange(8) * np.pi / 8
 _DIRECTIONS = np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])
+_OUTSIDE = 1.001  # radii: what only touched the disc would share its multiplier there
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,13 @@ class ToolPose(Constraint):
         kernels.tool_errors(at.reference.tool[at.index], at.T, at.J, e, A)
         return e, A
 
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        assert at.reference.tool is not None
+        out = np.empty(Z.shape)
+        robot, target = at.robot, at.reference.tool[at.index]
+        kernels.tool_curvature(robot.fixed, robot.prismatic, at.q, target, at.T, at.J, multipliers, Z, STEP, out)
+        return out
+
 
 def _base_target(at: Waypoints, name: str) -> np.ndarray:
     if at.reference.base is None or at.robot.base.stop == 0:
@@ -41,9 +49,9 @@ class BaseDisc(Constraint):
     """The base's origin at most `radius` [m] from where the reference wants it, exactly; (4.34).
 
     The first value is |p - p_goal|²/(2 radius) [m], at most radius/2: where the bound is reached it grows as fast as
-    the distance does. The others are the distances along eight directions, at most radius either way. They add nothing,
-    for the disc lies within their polygon; but in its middle, where the first one's gradient vanishes, they tell a
-    linearised problem where the disc ends, and with it how the disc bends.
+    the distance does. The others are the distances along eight directions, at most a little more than radius either
+    way. They add nothing, for the disc lies within their polygon; but in its middle, where the first one's gradient
+    vanishes, they tell a linearised problem where the disc ends, and with it how the disc bends.
     """
 
     radius: float
@@ -54,7 +62,7 @@ class BaseDisc(Constraint):
             raise PlanningError(f"The base's radius is {self.radius} m; it must be above 0.")
 
     def bounds(self, at: Waypoints) -> tuple[Values, Values]:
-        sides = [self.radius] * len(_DIRECTIONS)
+        sides = [_OUTSIDE * self.radius] * len(_DIRECTIONS)
         lower, upper = np.array([-np.inf, *sides]), np.array([0.5 * self.radius, *sides])
         lower[1:] *= -1.0
         return np.tile(lower, (len(at), 1)), np.tile(upper, (len(at), 1))
@@ -67,9 +75,11 @@ class BaseDisc(Constraint):
         half_square = np.sum(d**2, axis=1, keepdims=True) / (2.0 * self.radius)
         return np.hstack([half_square, d @ _DIRECTIONS.T]), J
 
-    def bending(self, multipliers: Values) -> Values:
-        out = np.zeros_like(multipliers)
-        out[:, 0] = multipliers[:, 0] + np.abs(multipliers[:, 1:]).sum(axis=1)
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        """Return it as if the disc pulled where a side of the polygon does: there it soon will."""
+        pull = multipliers[:, 0] + np.abs(multipliers[:, 1:]).sum(axis=1)
+        out = np.zeros_like(Z)
+        out[:, :2] = (pull / self.radius)[:, None, None] * Z[:, :2]
         return out
 
 
@@ -93,6 +103,9 @@ class BaseHeading(Constraint):
         turn = at.q[:, 2:3] - _base_target(at, self.name)[:, 2:]
         return np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi, J
 
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        return np.zeros_like(Z)
+
 
 @dataclass(frozen=True, eq=False)
 class TaskConstraint(Constraint):
@@ -112,5 +125,5 @@ class TaskConstraint(Constraint):
         pairs = [self.task.value_and_jacobian(at.robot, q) for q in at.q]
         return np.array([v for v, _ in pairs]), np.array([J for _, J in pairs])
 
-    def bending(self, multipliers: Values) -> Values:
-        return np.zeros_like(multipliers)  # one by one their derivatives cost more than curvature gains
+    def curvature(self, at: Waypoints, multipliers: Values, Z: Directions) -> Directions:
+        return np.zeros_like(Z)  # one by one their derivatives cost more than curvature gains
