@@ -1,7 +1,6 @@
 """How a simulated robot moves: the model in MuJoCo, its drivers, and the last steps as a memory for its sensors."""
 
 import math
-from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float
@@ -9,11 +8,11 @@ from jaxtyping import Float
 from longreach.errors import ConfigError
 from longreach.geometry import se3, so3
 from longreach.robot.bases import MecanumBase
-from longreach.robot.chain import JointLimits
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.drivers import ArmDriver, BaseDriver, GripperDriver
 from longreach.sim.mujoco_model import STEP, compiled, engine, mjcf, set_gains
 from longreach.sim.places import Places
+from longreach.sim.simulated import Truth, arm_limits
 from longreach.sim.worlds import World
 
 PAST = 64  # steps that are remembered: more than a sweep of the laser and the steps that are taken at once
@@ -23,25 +22,6 @@ _SETTLE = 0.3  # [s] for the wheels to sink into the floor before time begins
 LEVER = 0.1  # of a finger, from its tip to its joint [m]
 
 Glimpse = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # rows of the memories bases, qpos, qvel, sensed
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What really is at `stamp` [s], as motion capture would see it.
-
-    base (3,) [m, m, rad], twist (3,) in the body's axes, q (n,) base first, tool T_world_tool (4, 4).
-    """
-
-    stamp: float
-    base: Float[np.ndarray, "3"]
-    twist: Float[np.ndarray, "3"]
-    q: Float[np.ndarray, " n"]
-    tool: Float[np.ndarray, "4 4"]
-
-
-def arm_limits(robot: MobileManipulator) -> JointLimits:
-    """Return the limits of the arm's joints."""
-    return JointLimits(**{f.name: getattr(robot.limits, f.name)[robot.arm] for f in fields(JointLimits)})
 
 
 class Motion:
@@ -70,7 +50,7 @@ class Motion:
         fast, hard = np.array(description.velocity_limits), np.array(description.acceleration_limits)
         self.base = BaseDriver(base, fast, hard, np.zeros(3), np.zeros(3))
         rest = np.zeros(len(self.at.arm_names))
-        self.arm = ArmDriver(arm_limits(robot), np.array(q[robot.arm]), rest, rest)
+        self.arm = ArmDriver(arm_limits(robot), np.array(q[robot.arm]), rest.copy(), rest)
         self.gripper = GripperDriver()
 
     def _place(self, q: Float[np.ndarray, " n"]) -> None:

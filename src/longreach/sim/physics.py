@@ -13,10 +13,10 @@ from jaxtyping import Float, UInt8
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.control.hardware import Command, Promises, Readings
-from longreach.errors import ConfigError, ControlError
+from longreach.errors import ConfigError
 from longreach.robot.description import Encoder, Mount
 from longreach.robot.mobile_manipulator import MobileManipulator
-from longreach.sim.motion import AT_ONCE, LEVER, PAST, Motion, Truth, arm_limits
+from longreach.sim.motion import AT_ONCE, LEVER, PAST, Motion
 from longreach.sim.mujoco_model import GRAVITY, STEP
 from longreach.sim.pictures import Pictures
 from longreach.sim.places import load_of
@@ -30,6 +30,7 @@ from longreach.sim.sensors import (
     read_wheels,
     read_wrench,
 )
+from longreach.sim.simulated import Truth, check_command, promises_of
 from longreach.sim.worlds import World, load_world
 
 _KINDS = ("wheels", "lidar", "imu", "joints", "wrench", "truth")
@@ -72,6 +73,7 @@ class Simulation:
         self.robot, self.config = robot, config or PhysicsConfig()
         world = world if isinstance(world, World) else load_world(world)
         self.world = world if floor is None else world.with_floor(floor)
+        self._promises = promises_of(robot, self.config.timeout)
         self._motion = Motion(robot, self.world, robot.home if q is None else q, self.config.stiffness)
         self._pictures, self._stopped, self._glimpses = Pictures(self._motion.model), "", []
         self._fit_sensors(seed)
@@ -80,10 +82,7 @@ class Simulation:
     @property
     def promises(self) -> Promises:
         """What the robot can do: as its description says."""
-        description, at = self.robot.description, self._motion.at
-        fast, hard = np.array(description.velocity_limits), np.array(description.acceleration_limits)
-        gripper, timeout = bool(at.finger_names), self.config.timeout
-        return Promises(at.arm_names, arm_limits(self.robot), fast, hard, timeout=timeout, gripper=gripper)
+        return self._promises
 
     @property
     def stamp(self) -> float:
@@ -112,10 +111,7 @@ class Simulation:
         if self._stopped:
             return
         motion, until = self._motion, self.stamp + self.config.timeout
-        for part, count in (("base", 3), ("arm", len(motion.at.arm_names))):
-            value = getattr(command, part)
-            if value is not None and not (len(value) == count and np.isfinite(value).all()):
-                raise ControlError(f"The {part} takes {count} finite numbers, but the command has {value}.")
+        check_command(command, len(motion.at.arm_names))
         if command.base is not None:
             motion.base.take(command.base, until)
         if command.arm is not None and command.arm_mode == "velocity":

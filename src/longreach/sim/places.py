@@ -13,6 +13,26 @@ from longreach.sim.mujoco_model import WRENCH_LINK
 _SPREAD = "joint_0"  # ends the names of the fingers' joints that do not close them
 
 
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """The fingers' joints: their angles when closed (k,) [rad], and what each one's angle says of how far they are."""
+
+    names: tuple[str, ...]
+    closed: Float[np.ndarray, " k"]
+    share: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, robot: MobileManipulator) -> "Hand":
+        """Return all joints of a robot's URDF that are neither wheels nor the arm's."""
+        wheels = robot.description.base.wheel_names if robot.description.base else ()
+        beside = {*wheels, *robot.joint_names[robot.arm]}
+        joints = [j for j in (robot.urdf.joints if robot.urdf else ()) if j.moves and j.name not in beside]
+        closed = np.array([0.0 if j.name.endswith(_SPREAD) else j.limits.upper for j in joints])
+        moving = max(np.count_nonzero(closed), 1)
+        share = np.array([1.0 / (moving * angle) if angle > 0 else 0.0 for angle in closed.tolist()])
+        return cls(tuple(j.name for j in joints), closed, share)
+
+
 class Places:
     """Rows of qpos, qvel, sensordata and ctrl for wheels, joints (arm, then fingers) and sensors; bodies by number."""
 
@@ -21,8 +41,8 @@ class Places:
         if base is None or urdf is None:
             raise ConfigError(f"{robot.name} has no wheels or no URDF.")
         self.wheel_names, self.arm_names = base.wheel_names, robot.joint_names[robot.arm]
-        beside = {*self.wheel_names, *self.arm_names}
-        self.finger_names = tuple(j.name for j in urdf.joints if j.moves and j.name not in beside)
+        hand = Hand.of(robot)
+        self.finger_names, self.closed, self.share = hand.names, hand.closed, hand.share
         self.joint_names = (*self.arm_names, *self.finger_names)
         self.wheels, self.wheel_speeds, self.wheel_motors = _rows(model, self.wheel_names)
         self.joints, self.joint_speeds, motors = _rows(model, self.joint_names)
@@ -35,11 +55,6 @@ class Places:
         self.root, self.last = int(model.body(urdf.root).id), int(model.body(last).id)
         self.last_frame = slice(sensed(model, "last_pos").start, sensed(model, "last_yaxis").stop)
         self.T_last_tool = robot.chain.relative(last, robot.tool)
-        # Angles of the fingers' joints when closed, and what each one's angle says of how far they are.
-        closed = [0.0 if name.endswith(_SPREAD) else joints[name].limits.upper for name in self.finger_names]
-        self.closed = np.array(closed)
-        moving = max(np.count_nonzero(self.closed), 1)
-        self.share = np.array([1.0 / (moving * angle) if angle > 0 else 0.0 for angle in closed])
 
 
 def _rows(model: Any, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,8 +16,8 @@ from longreach.reference import Reference
 from longreach.robot.description import Mount, RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.drive import make_drive, middle, move
-from longreach.sim.motion import Truth
 from longreach.sim.physics import PhysicsConfig, Simulation
+from longreach.sim.simulated import Simulated, Truth
 from longreach.sim.worlds import load_world
 from longreach.trajectory import PoseTrajectory
 
@@ -25,7 +25,7 @@ _WATCHED = 1.0  # how fast whoever steers takes back an error that is seen [1/s]
 _AFTER = 0.1  # [s] for what is still under way at the end
 
 
-def record(simulation: Simulation, twists: Callable[[float], Float[np.ndarray, "3"]], duration: float) -> Recording:
+def record(simulation: Simulated, twists: Callable[[float], Float[np.ndarray, "3"]], duration: float) -> Recording:
     """Drive a base by body twists for a time and return what its sensors said, and the truth.
 
     twists: from the time since the start [s] to [v_x, v_y, ω]; asked for at the rate at which the base takes commands.
