@@ -68,6 +68,13 @@ def init(
     return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp)
 
 
+def oldest(readings: Readings, config: EstimateConfig) -> float:
+    """Return the stamp [s] of the oldest reading that is fused, with which an estimate begins."""
+    kinds = {"wheels": readings.wheels, "lidar": readings.scans, "imu": readings.imu}
+    used = [records for source, records in kinds.items() if config.sources is None or source in config.sources]
+    return min((record.stamp for records in used for record in records), default=readings.stamp)
+
+
 def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, list[Correction]]:
     """Take all that was read; what no source can use is refused by the filter, which says so."""
     sources = state.config.sources or ("wheels", "lidar", "imu")

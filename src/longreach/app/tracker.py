@@ -239,8 +239,7 @@ def _first_readings(
 
 def _begun(where: LocalizerState, first: Readings) -> LocalizerState:
     """Return the localizer with the first readings in it: it begins with the oldest of them, the robot at rest."""
-    stamps = [record.stamp for kind in (first.wheels, first.scans, first.imu) for record in kind]
-    begin = min(stamps, default=first.stamp)
+    begin = localizer.oldest(first, where.config)
     return localizer.step(localizer.init(where.robot, begin, where.filter.belief.pose, where.config), first)[0]
 
 

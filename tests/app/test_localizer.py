@@ -1,0 +1,85 @@
+"""The estimate while the robot drives is that of a replay, in whatever portions and however late the readings come."""
+
+import numpy as np
+import pytest
+
+from longreach.app import localizer
+from longreach.app.configuration import EstimateConfig, EvaluationConfig
+from longreach.app.estimate import estimate
+from longreach.control.hardware import Readings
+from longreach.io.config import load_description
+from longreach.sim.kinematic import make_recording
+
+_LATENCY = {"wheels": 0.002, "scans": 0.03, "imu": 0.004}
+
+
+@pytest.fixture(scope="module")
+def thing():
+    return load_description("thing")
+
+
+@pytest.fixture(scope="module")
+def recording(thing):
+    return make_recording(thing, seed=1, duration=4.0, lidar_rate=20.0, beams=180)
+
+
+def _readings(recording, tick=0.008):
+    """What a robot would have handed out tick by tick."""
+    left = {kind: list(getattr(recording, kind)) for kind in _LATENCY}
+    now = 0.0
+    while any(left.values()):
+        new = {}
+        for kind, records in left.items():
+            count = sum(record.stamp + _LATENCY[kind] <= now for record in records)
+            new[kind], left[kind] = tuple(records[:count]), records[count:]
+        yield Readings(now, **new)
+        now += tick
+
+
+def _online(thing, recording, config):
+    whole = Readings(0.0, wheels=recording.wheels, scans=recording.scans, imu=recording.imu)
+    first = localizer.oldest(whole, config)
+    state, rows = localizer.init(thing, first, np.zeros(3), config), []
+    for readings in _readings(recording):
+        before = state
+        state, _ = localizer.step(state, readings)
+        rows += localizer.settled(before, state)
+    return state, [*rows, *localizer.settled(state, None)]
+
+
+@pytest.mark.parametrize("sources", [("wheels",), ("wheels", "imu"), ("wheels", "lidar"), ("wheels", "lidar", "imu")])
+def test_online_is_offline(thing, recording, sources):
+    config = EstimateConfig(sources=sources, evaluation=EvaluationConfig(align="none"))
+    _, rows = _online(thing, recording, config)
+    replayed = estimate(recording, thing, config).trajectories["fused"]
+    online = {row.stamp: row for row in rows}
+    both = [i for i, stamp in enumerate(replayed.stamps.tolist()) if stamp in online]
+    assert len(both) > 0.95 * len(replayed)
+    for i in both:
+        row = online[float(replayed.stamps[i])]
+        np.testing.assert_allclose(row.pose, replayed.poses[i], atol=1e-6)
+        np.testing.assert_allclose(row.covariance, replayed.covariance[i], atol=1e-9)
+
+
+def test_the_belief_goes_ahead_of_the_newest_measurement_and_grows_less_sure(thing, recording):
+    state, _ = _online(thing, recording, EstimateConfig(sources=("wheels",)))
+    now = state.filter.stamp
+    near, far = state.belief(now + 0.01), state.belief(now + 0.1)
+    assert far.stamp == pytest.approx(now + 0.1)
+    assert np.all(np.diag(far.covariance)[:3] > np.diag(near.covariance)[:3])
+
+
+def test_readings_from_before_the_start_are_nothing(thing, recording):
+    late = recording.wheels[20].stamp
+    state = localizer.init(thing, late, np.zeros(3), EstimateConfig(sources=("wheels",)))
+    for readings in _readings(recording):
+        state, corrections = localizer.step(state, readings)
+        assert all(c.status == "used" for c in corrections)
+    assert state.filter.stamp > late
+
+
+def test_readings_that_say_nothing_change_nothing(thing):
+    state = localizer.init(thing, 0.0, np.zeros(3))
+    after, corrections = localizer.step(state, Readings(1.0))
+    assert corrections == []
+    assert after.filter is state.filter
