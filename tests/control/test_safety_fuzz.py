@@ -1,5 +1,8 @@
 """Commands drawn at random, most of them beyond all reason: what leaves the gate is always within every limit."""
 
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control.recorded import readings
@@ -9,12 +12,19 @@ from longreach.control._limit_kernels import limit
 from longreach.control.hardware import Command
 from longreach.control.safety_checks import Health, Innovation
 from longreach.control.safety_config import SafetyConfig, limits_of
+from longreach.io.robots import load_robot
 from longreach.kernels import kernel
 from longreach.measurement import Wrench
+from longreach.robot.chain import JointLimits
+from longreach.sim.kinematic_config import KinematicConfig
+from longreach.sim.kinematic_robot import KinematicRobot
+from longreach.sim.sensors import JointTiming, SensorConfig, Timing
 
 HOLD = 0.04
 SLACK = 1e-9
 RUNS = 15  # of the whole gate, each way of driving it
+SIMULATED_RUNS = int(os.environ.get("LONGREACH_FUZZ_RUNS", "40"))  # of gate and simulated robot; 10 000 take minutes
+THING = load_robot("thing")
 
 
 def wishes(rng, v_max, count):
@@ -118,6 +128,60 @@ def test_whatever_is_commanded_and_whatever_happens_the_whole_gate_keeps_every_l
         assert np.all(np.abs(np.diff(twist, axis=0)) <= np.outer(dt[1:], config.base_arrays[1]) + SLACK)
         moved = max(moved, np.abs(v).max())
     assert moved > 1.0  # it was not a gate that is always shut
+
+
+def simulated(rng, promises, config, mode, ticks):
+    """Rows of dt, command sent, and where the robot then really was, of a simulated robot whose sensors fail a lot."""
+    sensors = SensorConfig(
+        wheels=Timing(rate=50.0, dropout=0.05), joints=JointTiming(rate=125.0, dropout=rng.choice([0.0, 0.1]))
+    )
+    robot = KinematicRobot(
+        THING, seed=int(rng.integers(1 << 30)), config=KinematicConfig(sensors=sensors, present=("wheels", "joints"))
+    )
+    v_max, rows = config.arm_arrays[2], []
+    state, wish = safety.init(config, 0.0, THING.home[THING.arm]), wishes(rng, v_max, ticks)
+    for k in range(ticks):
+        dt = 0.001 * rng.choice([4, 8, 8, 8, 20])
+        robot.advance(dt)
+        came, now = robot.read(), robot.stamp
+        if rng.random() < 0.004:
+            came = replace(came, emergency_stop=True)
+        health = Health((Innovation("lidar", rng.choice([1.0, 1.0, 1.0, 60.0]), 3),), now - rng.choice([0.0, 0.0, 0.3]))
+        wanted = ("velocity", "position")[(k // 7) % 2] if mode == "either" else mode
+        q = robot.truth().q[THING.arm]
+        state, out = safety.step(state, drawn(rng, now, wanted, wish[k], q), came, health, now)
+        rows.append((dt, out, q))
+        robot.write(out)
+        if state.stop is not None and state.stop.latched and rng.random() < 0.2:
+            state = safety.reset(state)
+    return rows
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position", "either"])
+def test_no_command_beyond_a_limit_leaves_the_gate_of_a_simulated_robot(rng, mode):
+    home, all_of = THING.home[THING.arm], THING.limits
+    limits = JointLimits(  # narrower than the robot's own, which would hold it by itself
+        home - 0.4, home + 0.4, all_of.velocity[3:], all_of.acceleration[3:], all_of.effort[3:]
+    )
+    promises = replace(KinematicRobot(THING).promises, arm_limits=limits)
+    config = limits_of(promises, SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, divergence_streak=4))
+    moved, farthest = 0.0, 0.0
+    for _ in range(SIMULATED_RUNS // 3):
+        rows = simulated(rng, promises, config, mode, 40)
+        dt, q = np.array([row[0] for row in rows]), np.array([row[2] for row in rows])
+        twist = np.array([row[1].base for row in rows])
+        assert np.all(np.abs(twist) <= config.base_arrays[0] + SLACK)
+        assert np.all(np.abs(np.diff(twist, axis=0)) <= np.outer(dt[1:], config.base_arrays[1]) + SLACK)
+        speeds = np.array([row[1].arm for row in rows if row[1].arm_mode == "velocity"]).reshape(-1, 6)
+        angles = np.array([row[1].arm for row in rows if row[1].arm_mode == "position"]).reshape(-1, 6)
+        assert np.all(np.abs(speeds) <= limits.velocity + 1e-6)
+        assert np.all((angles >= limits.lower - SLACK) & (angles <= limits.upper + SLACK))
+        if mode == "velocity":
+            assert np.all(np.abs(np.diff(speeds, axis=0)) <= np.outer(dt[1:], limits.acceleration) + 1e-6)
+        farthest = max(farthest, np.abs(q - home).max())
+        moved = max(moved, np.abs(np.diff(q, axis=0)).max())
+    assert farthest <= 0.4 + 1e-3
+    assert moved > 0.005
 
 
 def test_the_clamp_finds_the_largest_part_of_a_wish_that_can_be_done(rng):
