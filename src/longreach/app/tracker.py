@@ -176,6 +176,7 @@ def run(
     base: Float[np.ndarray, "3"],
     config: TrackerConfig | None = None,
     watch: Callable[[Tick, float], None] | None = None,
+    heartbeat: Callable[[], float] | None = None,
 ) -> Run:
     """Drive a robot along a plan, and stop it when the plan has ended or whatever else ends the run.
 
@@ -183,6 +184,7 @@ def run(
         wait_until: returns at a time of the hardware's clock [s]; a simulation's lets that time pass.
         base: where the base is at the start [m, m, rad], in the plan's frame.
         watch: called after each tick with it and how much of the plan is done, 0 to 1.
+        heartbeat: tells when the client was heard last [s], where one is (`SafetyConfig.heartbeat_timeout`).
 
     Raises:
         ControlError: the robot does not say where its arm is, or the plan does not begin there.
@@ -201,7 +203,7 @@ def run(
             readings = hardware.read()
             rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
             before = state.localizer
-            state, command, tick = step(state, readings)
+            state, command, tick = step(state, readings, None if heartbeat is None else heartbeat())
             hardware.write(command)
             rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, time.perf_counter() - began))
             rows += localizer.settled(before, state.localizer)
