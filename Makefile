@@ -6,7 +6,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 .PHONY: demo test check clean
 
 demo: .venv/.installed
-	$(BIN)/longreach demo --out out/demo
+	$(BIN)/longreach run dual-trajectory --out out/demo
 
 # LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
 test: .venv/.installed-dev
@@ -35,8 +35,8 @@ clean:
 	exit 1
 
 .venv/.installed: pyproject.toml | .venv/bin/python
-	@echo "Installing longreach and the packages it needs into .venv; this takes a minute or two."
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable .
+	@echo "Installing longreach, the packages it needs and a physics engine into .venv; this takes a minute or two."
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.[sim]'
 	@touch $@
 
 .venv/.installed-dev: pyproject.toml | .venv/bin/python

@@ -5,20 +5,17 @@ python docs/draw_images.py
 
 from pathlib import Path
 
-import longreach as lr
-from longreach.app.configuration import EstimateConfig, EvaluationConfig
-from longreach.evaluation import figures
+from longreach.app.dual_trajectory import DualTrajectoryConfig, execute_both
+from longreach.evaluation.execution_figures import tool_and_base
 
 IMAGES = Path(__file__).parent / "images"
 
 
 def main() -> None:
-    """Drive as `longreach demo` does, and draw the paths in the world of the simulation."""
-    thing = lr.load_robot("thing")
-    recording = lr.make_recording(thing, seed=0, duration=60.0)
-    result = lr.estimate(recording, thing, EstimateConfig(evaluation=EvaluationConfig(align="none")))
+    """Draw the line that `longreach run dual-trajectory` draws with the loop closed."""
+    runs = execute_both(DualTrajectoryConfig(), 0, lambda stage, fraction: None)
     IMAGES.mkdir(exist_ok=True)
-    figures.paths(result.trajectories).savefig(IMAGES / "demo_paths.png", dpi=90)
+    tool_and_base(runs["closed"].traces).savefig(IMAGES / "tool_and_base.png", dpi=90)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,9 @@ import pytest
 
 from longreach.app import results
 from longreach.app.configuration import EstimateConfig
-from longreach.app.demo import make_and_estimate
 from longreach.app.estimate import estimate
 from longreach.app.evaluate import Relations, evaluate_files
 from longreach.app.outputs import write_estimate, write_evaluation
-from longreach.errors import LongreachError
 from longreach.geometry import se2
 from longreach.io.config import load_description, read_config
 from longreach.io.tum import read_tum, write_tum
@@ -178,20 +176,6 @@ def test_the_folder_of_an_estimate_is_evaluated_against_its_own_truth(folder, tm
     write_evaluation(again, tmp_path / "out")
     assert_is_metrics(tmp_path / "out" / "metrics.json")
     assert (tmp_path / "out" / "figures" / "squared_errors.png").is_file()
-
-
-@pytest.mark.usefixtures("quick_pictures")
-def test_what_the_demo_leaves_is_complete(tmp_path):
-    result = make_and_estimate(tmp_path / "demo", seed=0, duration=1.0)
-    assert (tmp_path / "demo" / "recording.mcap").is_file()
-    assert (tmp_path / "demo" / "report.html").is_file()
-    assert {"fused", "wheels", "lidar"} <= set(result.metrics)
-
-
-def test_a_demo_cannot_be_written_where_a_file_is(tmp_path):
-    (tmp_path / "demo").touch()
-    with pytest.raises(LongreachError, match="demo"):
-        make_and_estimate(tmp_path / "demo", seed=0, duration=1.0)
 
 
 def test_a_tum_file_alone_is_evaluated(tmp_path, made):

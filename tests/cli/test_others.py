@@ -1,4 +1,4 @@
-"""longreach info, evaluate, warmup and demo."""
+"""longreach info, evaluate and warmup."""
 
 import json
 
@@ -102,18 +102,3 @@ def test_warmup_says_where_the_kernels_are(run):
     answer = run("warmup")
     assert answer.code == 0, answer.err
     assert answer.out.startswith("All kernels are compiled (")
-
-
-def test_the_demo_estimates_what_it_made(run, tmp_path):
-    answer = run("demo", "--out", tmp_path / "demo", "--duration", 1, "--seed", 3)
-    assert answer.code == 0, answer.err
-    assert {"recording.mcap", "fused.tum", "report.html"} <= {path.name for path in (tmp_path / "demo").iterdir()}
-    assert "simulation …" in answer.err
-    assert "fused" in answer.out
-
-
-def test_a_demo_too_short_to_drive_is_wrong_usage(run, tmp_path):
-    answer = run("demo", "--out", tmp_path / "demo", "--duration", 0.5)
-    assert answer.code == 2
-    assert "--duration" in answer.err
-    assert not list(tmp_path.iterdir())

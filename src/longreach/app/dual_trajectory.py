@@ -101,6 +101,16 @@ def metrics_of(runs: Mapping[str, Execution]) -> dict[str, dict[str, Metric]]:
     return found | {name: dict(named) for name, named in first.estimate.metrics.items()}
 
 
+def verdict(metrics: Metrics) -> str:
+    """Return what the numbers say, in words."""
+    mm = {loop: {name: 1e3 * (m["value"] or 0.0) for name, m in metrics[loop].items()} for loop in LOOPS}
+    return (
+        f"The hand was {mm['closed']['tool_error']:.1f} mm from where it should be, and "
+        f"{mm['closed']['tool_estimate_error']:.1f} mm from where the robot thought it was (root mean square). With "
+        f"the loop open it would have been {mm['open']['tool_error']:.1f} mm from where it should be."
+    )
+
+
 def _job(config: DualTrajectoryConfig, seed: int) -> Metrics:
     return metrics_of(execute_both(config, seed, lambda stage, fraction: None))
 
@@ -110,7 +120,7 @@ def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progr
     tell = progress or (lambda stage, fraction: None)
     runs = execute_both(config, config.seed, tell)
     metrics: Metrics = metrics_of(runs)
-    remarks = [f"{loop} loop: {run.run.reason}" for loop, run in runs.items() if run.run.reason]
+    remarks = [verdict(metrics)] + [f"{loop} loop: {run.run.reason}" for loop, run in runs.items() if run.run.reason]
     remarks += runs["closed"].estimate.remarks
     if config.seeds > 1:
         seeds = range(config.seed, config.seed + config.seeds)

@@ -114,6 +114,13 @@ def metrics_of(config: ManipulabilityConfig, runs: Mapping[str, Execution]) -> d
     return found
 
 
+def verdict(metrics: Metrics) -> str:
+    """Return what the numbers say, in words."""
+    better = metrics["optimised"]["objective_better"]["value"]
+    off = 1e3 * (metrics["optimised"]["base_off_max"]["value"] or 0.0)
+    return f"The optimised motion was better in {better:.1f} % of the time; its base was {off:.1f} mm off at most."
+
+
 def _job(config: ManipulabilityConfig, seed: int) -> Metrics:
     return metrics_of(config, execute_both(config, seed, lambda stage, fraction: None))
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from longreach.cli import demo, estimate, evaluate, info, plan, run, warmup
+from longreach.cli import estimate, evaluate, info, plan, run, warmup
 from longreach.errors import LongreachError
 
 app = typer.Typer(
@@ -51,7 +51,7 @@ def _answers_in_a_sentence(verb: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-for _module in (info, estimate, evaluate, plan, run, warmup, demo):
+for _module in (info, estimate, evaluate, plan, run, warmup):
     app.command(name=_module.__name__.rpartition(".")[2])(_answers_in_a_sentence(_module.command))
 
 

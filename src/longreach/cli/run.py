@@ -39,4 +39,5 @@ def command(
         metrics = chosen.run(config, folder, progress)
     table = metric_table(chosen.main(metrics))
     print_table(table.header, table.rows)
+    typer.echo(chosen.verdict(metrics))
     typer.echo(f"Everything is in {folder}; open {folder / 'report.html'}.")
