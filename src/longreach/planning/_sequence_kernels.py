@@ -16,13 +16,14 @@ import numpy as np
 from longreach.kernels import kernel
 from longreach.planning import _band_kernels as bands
 
+_ORDERLESS = {"contract", "reassoc"}
 _STEPS = 150  # Newton's, in all
 _SEARCHES = 30
 _FLAT = 1e-3  # part of its first slope at which a search ends
 _SLOW = 0.1  # of the violation that may be left by new multipliers, or else ρ rises
 _RISES, _STIFFEST = 10.0, 1e3  # by what ρ rises, and how far in all: from there on rounding would tell
 _PATIENCE = 3  # new multipliers in a row by which the violation hardly fell: rows contradict each other
-_ENOUGH = 1e-7  # a violation that may be left then: rows that nearly depend on each other settle slowly
+_ENOUGH = 1e-8  # a violation that may be left then: rows that nearly depend on each other settle slowly
 
 
 @kernel
@@ -57,7 +58,7 @@ def link_rows(coefficients, Z, d0, data, at):
                     data[k * n + j, i * p + a] = coefficients[k, i] * Z[k + i, j, a]
 
 
-@kernel
+@kernel(fastmath=_ORDERLESS)
 def _values(data, first, count, z, v):
     """v = [A z; z]."""
     m = len(data)
@@ -70,13 +71,13 @@ def _values(data, first, count, z, v):
         v[m + j] = z[j]
 
 
-@kernel
+@kernel(fastmath=_ORDERLESS)
 def _pulls(v, y, low, high, price, rho, out):
     """out = ρ (t - t clipped), t = v + y/ρ, at most the price; return by how much it changes y, as a length."""
     worst = 0.0
     for i in range(len(v)):
         t = v[i] + y[i] / rho
-        x = rho * (t - high[i]) if t > high[i] else (rho * (t - low[i]) if t < low[i] else 0.0)
+        x = rho * (max(t - high[i], 0.0) + min(t - low[i], 0.0))
         out[i] = min(max(x, -price[i]), price[i])
         worst = max(worst, abs(out[i] - y[i]) / rho)
     return worst
@@ -100,16 +101,15 @@ def _add_rows(data, first, count, pull, price, rho, g, B):
             B[j, w - 1] += rho
 
 
-@kernel
+@kernel(fastmath=_ORDERLESS)
 def _slope(v, dv, y, low, high, price, rho, s):
     """Return the slope at s of the rows' part of the function along the line v + s dv, and the slope's own."""
     slope, bend = 0.0, 0.0
     for i in range(len(v)):
         t = v[i] + s * dv[i] + y[i] / rho
-        x = rho * (t - high[i]) if t > high[i] else (rho * (t - low[i]) if t < low[i] else 0.0)
-        if x != 0.0:
-            slope += min(max(x, -price[i]), price[i]) * dv[i]
-            bend += rho * dv[i] * dv[i] if abs(x) < price[i] else 0.0
+        x = rho * (max(t - high[i], 0.0) + min(t - low[i], 0.0))
+        slope += min(max(x, -price[i]), price[i]) * dv[i]
+        bend += rho * dv[i] * dv[i] if x != 0.0 and abs(x) < price[i] else 0.0
     return slope, bend
 
 
@@ -134,7 +134,7 @@ def _searched(v, dv, y, low, high, price, rho, slope, bend):
 
 
 @kernel
-def _minimise(B, c, data, first, count, low, high, price, rho, exact, z, y):
+def _minimise(B, c, data, first, count, low, high, price, rho, exact, tight, z, y):
     """Move z (n,) and the multipliers y (m + n,) to the solution; return whether there is one."""
     n, size = len(z), len(y)
     g, h, v, dv, pull, K = np.empty(n), np.empty(n), np.empty(size), np.empty(size), np.empty(size), np.empty(B.shape)
@@ -154,7 +154,7 @@ def _minimise(B, c, data, first, count, low, high, price, rho, exact, z, y):
             h[j] = -h[j]
         if steepest <= exact:
             y[:] = pull
-            if worst <= exact:
+            if worst <= tight:
                 return True
             patience = patience - 1 if worst > 0.5 * last else _PATIENCE
             if patience == 0:
@@ -177,10 +177,10 @@ def _minimise(B, c, data, first, count, low, high, price, rho, exact, z, y):
 
 
 @kernel
-def solve(B, c, data, first, count, low, high, price, rho, near, exact, z, y):
+def solve(B, c, data, first, count, low, high, price, rho, near, exact, tight, z, y):
     """Do so, with only those rows that are less than `near` from their bounds, that pull, or turn out to be violated.
 
-    exact: the largest violation and the largest slope that may be left.
+    exact: the largest slope that may be left; tight: the largest violation.
     """
     m, n = len(data), len(z)
     part = np.empty(m, dtype=np.bool_)
@@ -192,15 +192,16 @@ def solve(B, c, data, first, count, low, high, price, rho, near, exact, z, y):
         rows = chosen[: len(chosen) - n]
         some = y[chosen]
         fine = _minimise(
-            B, c, data[rows], first[rows], count[rows], low[chosen], high[chosen], price[chosen], rho, exact, z, some
-        )
+            B, c, data[rows], first[rows], count[rows], low[chosen], high[chosen], price[chosen], rho, exact, tight,
+            z, some,
+        )  # fmt: skip
         if not fine:
             return False
         y[chosen] = some
         _values(data, first, count, z, v)
         new = 0
         for i in range(m):
-            if not part[i] and (v[i] > high[i] + exact or v[i] < low[i] - exact):
+            if not part[i] and (v[i] > high[i] + tight or v[i] < low[i] - tight):
                 part[i] = True
                 new += 1
         if new == 0:

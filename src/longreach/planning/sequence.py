@@ -12,8 +12,9 @@ from longreach.planning import _band_kernels as bands
 from longreach.planning import _sequence_kernels as kernels
 from longreach.planning.subproblem import Difference, Step, Subproblem
 
-_NEAR = 0.2  # part of the trust region: what is so near a bound takes part at first
-_FIRST, _LATER = 1e3, 1e4  # stiffness of rows in the curvature's measure, without multipliers to start from and with
+_NEAR = 0.1  # part of the trust region: what is so near a bound takes part at first
+_FIRST, _LATER = 30.0, 1e3  # stiffness of rows in the curvature's measure, without multipliers to start from and with
+_TIGHT = 1e-2  # violations of rows per slope that is left: many small ones add up in the merit
 _NEXT = 2.0  # steps farther than the last one, a bound takes no part at first
 
 
@@ -49,7 +50,7 @@ class Sequence:
         stiff *= float(np.median(B[:, -1]))
         prices = np.full(len(y), np.inf)
         parts = (rows.data, rows.first, rows.count, rows.low, rows.high)
-        if not kernels.solve(B, c, *parts, prices, stiff, near, q.exact, z, y):
+        if not kernels.solve(B, c, *parts, prices, stiff, near, q.exact, _TIGHT * q.exact, z, y):
             found = _piqp(B, c, rows, q.exact)
             if found is None:
                 return None

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from longreach.planning.sqp import Run
 
 HOLDS = 1e-6  # a multiplier that is more than rounding
-_HELD = 10.0  # curvature across inequalities that hold, in the Lagrangian's own
+_HELD, _HELD_NEAR = 10.0, 100.0  # curvature across inequalities that hold, in the Lagrangian's own; near a solution
+_NEAR = 1e-3  # a KKT residual from where on those that hold will go on holding
 _SURELY = 1e-4  # curvature of a subproblem at the least, where it is convex only all in all
 
 
@@ -120,7 +121,8 @@ def _held(run: Run, todo: np.ndarray, Z: np.ndarray, scale: np.ndarray) -> np.nd
     a = run.A[todo][:, :, ~equation] @ Z
     square = np.sum(a**2, axis=3)
     holds = (np.abs(run.lam[todo][:, :, ~equation]) > HOLDS) & (square > 1e-12)
-    weight = np.where(holds, _HELD * scale[:, :, None] / np.maximum(square, 1e-12), 0.0)
+    stiff = np.where(run.kkt[todo] < _NEAR, _HELD_NEAR, _HELD)[:, None, None]
+    weight = np.where(holds, stiff * scale[:, :, None] / np.maximum(square, 1e-12), 0.0)
     return np.swapaxes(a, 2, 3) @ (weight[..., None] * a)
 
 
@@ -128,7 +130,8 @@ def _held_links(run: Run) -> tuple[Difference, ...]:
     """Return the same across limits of links that hold, as costs of the step."""
     none = np.empty((0, run.x.shape[2]))
     pairs = zip(run.program.limits, run.lam_links, strict=True)
-    return tuple(Difference(limit.coefficients, none, none, _HELD * (np.abs(y) > HOLDS)) for limit, y in pairs)
+    stiff = _HELD_NEAR if run.kkt[0] < _NEAR else _HELD
+    return tuple(Difference(limit.coefficients, none, none, stiff * (np.abs(y) > HOLDS)) for limit, y in pairs)
 
 
 def _convex(H: np.ndarray, floor: float) -> np.ndarray:
@@ -177,7 +180,9 @@ def minimise(run: Run, todo: np.ndarray, model: Model) -> Steps:
 
 
 def _subproblem(run: Run, b: int, i: int, model: Model) -> Subproblem:
-    exact = float(np.clip(1e-4 * run.kkt[b], 1e-9, 1e-7))  # far from a solution there is no use in digits
+    exact = (
+        float(np.clip(1e-4 * run.kkt[b], 1e-9, 1e-7)) if run.history else 1e-5
+    )  # far from a solution there is no use in digits
     limits = tuple(limit.about(run.x[b]) for limit in run.program.limits)
     parts = (model.g[i], model.d0[i], model.Z[i], run.H[b], model.G[i], model.lower[i], model.upper[i])
     return Subproblem(*parts, run.trust[b], exact, (*run.program.costs, *run.held), limits)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from longreach.planning.sqp import Run
 
 _ROUNDING = 1e-11  # of the merit: an improvement less than that cannot be seen
-_NEAR = 1e-3  # a KKT residual below which the curvature changes no more
+_NEAR = 1e-6  # a KKT residual below which the curvature changes no more
 _STILL = 1e-11  # [rad, m], a step that is none
 _ABOVE = 1.5  # by which penalties are above multipliers
 _AT = 1e-9  # [rad, m] from a limit that counts as on it
