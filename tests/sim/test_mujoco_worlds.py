@@ -28,8 +28,8 @@ def test_shipped_worlds_are_closed_and_leave_the_robot_room_at_the_origin(name):
     assert world.name == name
 
 
-def test_four_worlds_are_shipped():
-    assert shipped_worlds() == ["corridor", "laboratory", "office", "warehouse"]
+def test_the_worlds_that_are_promised_are_shipped():
+    assert set(shipped_worlds()) >= {"corridor", "laboratory", "office", "warehouse"}
 
 
 def test_a_laser_looks_under_a_table_and_meets_its_legs(tmp_path):

@@ -1,5 +1,7 @@
 """The robot's own drivers, compiled: from the command that holds to what base and arm do in the next step."""
 
+import math
+
 from longreach.kernels import kernel
 
 
@@ -48,3 +50,17 @@ def run_arm(q, v, wanted, angles, left, dt, lower, upper, v_max, a_max, q_out, v
                 q[i] = min(max(q[i] + v[i] * dt, lower[i]), upper[i])
         copy(q, q_out[k])
         copy(v, v_out[k])
+
+
+@kernel
+def planar(qpos, bases):
+    """Rows of bases (count + 1, 3) but the first: x, y and heading of a free body, the heading not wrapped.
+
+    qpos (count, n) begins with a position and a quaternion wxyz; from row to row it turns by far less than π.
+    """
+    for k in range(len(qpos)):
+        w, x, y, z = qpos[k, 3], qpos[k, 4], qpos[k, 5], qpos[k, 6]
+        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        turn = heading - bases[k, 2]
+        bases[k + 1, 0], bases[k + 1, 1] = qpos[k, 0], qpos[k, 1]
+        bases[k + 1, 2] = bases[k, 2] + turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)

@@ -8,16 +8,16 @@ _ENDS = 1e-9  # a ray through a corner hits, whatever the rounding
 
 
 @kernel
-def sweep(poses, first, dt, stamp, beam_time, angles, segments, beams, out):
+def sweep(bases, mount, first, dt, stamp, beam_time, angles, segments, beams, out):
     """Distance along each beam to the nearest segment (x0, y0, x1, y1), inf where there is none.
 
-    poses (n, 3) of the laser at the times first + i dt, headings not wrapped; beam b is cast at stamp + b beam_time
-    from where the laser then is, on the straight line between two poses. angles: increasing evenly. beams (b, 5): room
-    to work in.
+    bases (n, 3): poses at the times first + i dt, headings not wrapped; between two of them the base moves evenly.
+    mount (3,): of the laser in the base; beam b is cast at stamp + b beam_time from where the laser then is. angles:
+    increasing evenly. beams (b, 5): room to work in.
     """
     count = len(angles)
     for b in range(count):
-        _pose_at(poses, (stamp + b * beam_time - first) / dt, angles[b], beams[b])
+        _pose_at(bases, mount, (stamp + b * beam_time - first) / dt, angles[b], beams[b])
         out[b] = math.inf
     # Each segment is tried by the beams of its sector alone, seen from the middle of the sweep and widened by what the
     # laser moves and turns until its ends.
@@ -47,16 +47,27 @@ def sweep(poses, first, dt, stamp, beam_time, angles, segments, beams, out):
 
 
 @kernel
-def _pose_at(poses, place, angle, beam):
+def _pose_at(bases, mount, place, angle, beam):
     """Where a beam starts, its direction, and the laser's heading, at `place` in the list of poses."""
-    last = len(poses) - 1
+    last = len(bases) - 1
     place = min(max(place, 0.0), float(last))
     i = min(int(place), last - 1)
     part = place - i
-    beam[0] = poses[i, 0] + part * (poses[i + 1, 0] - poses[i, 0])
-    beam[1] = poses[i, 1] + part * (poses[i + 1, 1] - poses[i, 1])
-    beam[4] = poses[i, 2] + part * (poses[i + 1, 2] - poses[i, 2])
+    heading = bases[i, 2] + part * (bases[i + 1, 2] - bases[i, 2])
+    c, s = math.cos(heading), math.sin(heading)
+    beam[0] = bases[i, 0] + part * (bases[i + 1, 0] - bases[i, 0]) + c * mount[0] - s * mount[1]
+    beam[1] = bases[i, 1] + part * (bases[i + 1, 1] - bases[i, 1]) + s * mount[0] + c * mount[1]
+    beam[4] = heading + mount[2]
     beam[2], beam[3] = math.cos(beam[4] + angle), math.sin(beam[4] + angle)
+
+
+@kernel
+def spoil(ranges, noise, deviation, lost, part, nearest, farthest):
+    """Make ranges noisy, in place; those out of reach, and the part that is lost, become inf."""
+    for b in range(len(ranges)):
+        ranges[b] += deviation * noise[b]
+        if lost[b] < part or ranges[b] < nearest or ranges[b] > farthest:
+            ranges[b] = math.inf
 
 
 @kernel

@@ -55,6 +55,9 @@ class ArmDriver:
     arrival: float = 0.0
     until: float = -math.inf
 
+    def __post_init__(self) -> None:
+        self._hardest = np.minimum(self.limits.acceleration, HARDEST)
+
     def take_speeds(self, speeds: Float[np.ndarray, " n"], until: float) -> None:
         """Hold speeds [rad/s] up to a time."""
         self.wanted, self.until, self.angles = (
@@ -79,8 +82,7 @@ class ArmDriver:
         wanted = self.wanted if self.angles or now < self.until else np.zeros(len(self.q))
         left = max(round((self.arrival - now) / dt), 1) if self.angles else 1
         q, v, limits = np.empty((count, len(self.q))), np.empty((count, len(self.q))), self.limits
-        hardest = np.minimum(limits.acceleration, HARDEST)
-        bounds = (limits.lower, limits.upper, limits.velocity, hardest)
+        bounds = (limits.lower, limits.upper, limits.velocity, self._hardest)
         run_arm(self.q, self.v, wanted, self.angles, left, dt, *bounds, q, v)
         return q, v
 

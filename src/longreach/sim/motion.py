@@ -9,6 +9,7 @@ from longreach.errors import ConfigError
 from longreach.geometry import se3, so3
 from longreach.robot.bases import MecanumBase
 from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim._driver_kernels import planar
 from longreach.sim.drivers import ArmDriver, BaseDriver, GripperDriver
 from longreach.sim.mujoco_model import STEP, compiled, engine, mjcf, set_gains
 from longreach.sim.places import Places
@@ -97,11 +98,7 @@ class Motion:
             state=state[None, end - count : end],
             sensordata=sensed[None, end - count : end],
         )
-        w, x, y, z = self.qpos[-count:, 3:7].T
-        heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        before = self.bases[-count - 1, 2]
-        self.bases[-count:, :2] = self.qpos[-count:, :2]
-        self.bases[-count:, 2] = before + _wrapped(heading - before)  # it turns by far less than π
+        planar(self.qpos[-count:], self.bases[-count - 1 :])
         self.step += count
 
     def _controls(self, count: int) -> Float[np.ndarray, "count motors"]:

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.geometry import se2, so3
+from longreach.geometry import se2
 from longreach.measurement import GripperState, Imu, JointState, LaserScan, WheelSpeeds, WheelTicks, Wrench
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount
-from longreach.sim._sweep_kernels import sweep
+from longreach.sim._sweep_kernels import spoil, sweep
 
 _BEAMS = 1081
 _FIRST_BEAM = math.radians(-135.0)  # of a scanner whose description does not say it
@@ -73,8 +73,11 @@ class SensorConfig(BaseModel):
 
 
 def unchecked(kind: type[_Record], **values: Any) -> _Record:
-    """Return a record whose values are known to be right: the checks at its door take several times as long."""
+    """Return a record of values that are known to be right and nobody else's; the checks take several times as long."""
     record = object.__new__(kind)
+    for value in values.values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
     record.__dict__.update(values)
     return record
 
@@ -118,10 +121,11 @@ def read_wheels(
 ) -> WheelTicks | WheelSpeeds:
     """Return what an encoder's message holds of the wheels' angles [rad] and speeds [rad/s]."""
     if encoder.signal == "speed":
-        return WheelSpeeds(stamp, speeds)
+        return unchecked(WheelSpeeds, stamp=stamp, speeds=speeds)
     if encoder.resolution is None:
-        return WheelTicks(stamp, angles)
-    return WheelTicks(stamp, encoder.resolution / encoder.radians_per_tick * np.floor(angles / encoder.resolution))
+        return unchecked(WheelTicks, stamp=stamp, ticks=angles)
+    counts = np.floor(angles / encoder.resolution)
+    return unchecked(WheelTicks, stamp=stamp, ticks=encoder.resolution / encoder.radians_per_tick * counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,14 +162,11 @@ class Scanner:
         self, stamp: float, first: float, dt: float, bases: Float[np.ndarray, "n 3"], rng: np.random.Generator
     ) -> LaserScan:
         """Sweep while the base passes through `bases`, its poses at first + i dt [s], headings not wrapped."""
-        lasers = se2.compose(bases, self.mount)
-        lasers[:, 2] = bases[:, 2] + self.mount[2]
         ranges = np.empty(len(self.angles))
-        sweep(lasers, first, dt, stamp, self.beam_time, self.angles, self.walls, self.room, ranges)
-        ranges += self.timing.range_deviation * rng.standard_normal(len(ranges))
-        nearest, farthest = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf
-        ranges[rng.random(len(ranges)) < self.timing.lost_beams] = math.inf
-        ranges[(ranges < nearest) | (ranges > farthest)] = math.inf
+        sweep(bases, self.mount, first, dt, stamp, self.beam_time, self.angles, self.walls, self.room, ranges)
+        nearest, farthest, timing = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf, self.timing
+        noise, lost = rng.standard_normal(len(ranges)), rng.random(len(ranges))
+        spoil(ranges, noise, timing.range_deviation, lost, timing.lost_beams, nearest, farthest)
         numbers = [self.angles[0], self.angles[1] - self.angles[0], nearest, farthest, self.beam_time]
         first_beam, increment, nearest, farthest, between = np.array(numbers, dtype=np.float32).tolist()
         single = ranges.astype(np.float32)  # as a message holds them: a replay sees the same
@@ -188,7 +189,8 @@ class Gyro:
         walked = draws[0] * sensor.gyro_bias_walk / math.sqrt(self.rate)
         self.bias = draws[0] * sensor.gyro_bias_deviation if self.bias is None else self.bias + walked
         noisy = rates + self.bias + sensor.gyro_deviation * draws[1]
-        return Imu(stamp, noisy, force + sensor.acceleration_deviation * draws[2], sensor.frame or "imu")
+        felt = force + sensor.acceleration_deviation * draws[2]
+        return unchecked(Imu, stamp=stamp, angular_velocity=noisy, acceleration=felt, frame=sensor.frame or "imu")
 
 
 def read_joints(
@@ -201,7 +203,8 @@ def read_joints(
     """Return angles [rad], speeds [rad/s] and torques [N m] of joints as their controller tells them."""
     noise = rng.standard_normal((2, len(names)))
     position = values[0] + timing.position_deviation * noise[0]
-    return JointState(stamp, names, position, values[1] + timing.velocity_deviation * noise[1], values[2])
+    velocity = values[1] + timing.velocity_deviation * noise[1]
+    return unchecked(JointState, stamp=stamp, names=names, position=position, velocity=velocity, effort=values[2])
 
 
 def read_wrench(
@@ -217,10 +220,12 @@ def read_wrench(
     held: force [N] and torque [N m] that the arm exerts on what hangs on the sensor. weight: of that, acting at
     `centre` [m], as the driver knows it. All in the sensor's frame.
     """
+    (x, y, z), (fx, fy, fz) = centre.tolist(), weight.tolist()
     noise = rng.standard_normal((2, 3))
     force = -held[:3] - weight + timing.force_deviation * noise[0]
-    torque = -held[3:] - so3.hat(centre) @ weight + timing.torque_deviation * noise[1]
-    return Wrench(stamp, force, torque)
+    moment = np.array([y * fz - z * fy, z * fx - x * fz, x * fy - y * fx])
+    torque = -held[3:] - moment + timing.torque_deviation * noise[1]
+    return unchecked(Wrench, stamp=stamp, force=force, torque=torque)
 
 
 def gripper_state(joints: JointState, share: Float[np.ndarray, " k"], lever: float) -> GripperState:
