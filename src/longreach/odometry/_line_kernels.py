@@ -42,19 +42,23 @@ def scan_points(ranges, low, high, flipped, cos, sin, motion, share, x, y, r):
 
 @kernel
 def range_noise(x, y, r, space):
-    """Deviation σ̂ [m] of the ranges: how far a beam lies from the line through its two neighbours, by the median."""
+    """Deviation σ̂ [m] of the ranges: how far a beam lies from the line through its two neighbours.
+
+    By the lower third of these distances, 0.431 σ where the noise is Gaussian: as much as two thirds may be clutter.
+    """
     n, m = len(r), 0
     for u in range(1, n - 1):
         if r[u - 1] <= 0.0 or r[u] <= 0.0 or r[u + 1] <= 0.0:
             continue
-        # weights with which the neighbours' inverse ranges make that of the beam: d_u = a d_{u-1} + b d_{u+1}
+        # on a line the inverse range is what the neighbours' directions make of theirs: d_u = a d_{u-1} + b d_{u+1}
         whole = (x[u - 1] * y[u + 1] - y[u - 1] * x[u + 1]) / (r[u - 1] * r[u + 1])
         a = (x[u] * y[u + 1] - y[u] * x[u + 1]) / (r[u] * r[u + 1] * whole + 1e-300)
         b = (x[u - 1] * y[u] - y[u - 1] * x[u]) / (r[u - 1] * r[u] * whole + 1e-300)
         off = 1.0 / r[u] - a / r[u - 1] - b / r[u + 1]
-        space[m] = abs(off) * r[u] * r[u] / math.sqrt(1.0 + a * a + b * b)
+        variance = 1.0 / r[u] ** 4 + a * a / r[u - 1] ** 4 + b * b / r[u + 1] ** 4
+        space[m] = abs(off) / math.sqrt(variance)
         m += 1
-    return 1.4826 * np.median(space[:m]) if m > 0 else 0.0
+    return np.quantile(space[:m], 1.0 / 3.0) / 0.4307 if m > 0 else 0.0
 
 
 @kernel

@@ -13,7 +13,7 @@ from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import symmetric_eigen
 from longreach.odometry._pyramid_kernels import _atan_ratio
 
-LineSettings = namedtuple("LineSettings", "iterations gate grazing floor known common")
+LineSettings = namedtuple("LineSettings", "iterations gate grazing worst agree known common")
 ROWS = 8  # numbers kept of a matched point
 _SURFACE = 16  # neighbouring rows whose residuals may agree
 _LINE = 32  # rows that share a line at most
@@ -143,36 +143,56 @@ def lean(rows, m, limit, reach, H, V, k, out):
 
 
 @kernel
-def align(x, y, r, cos, sin, increment, beams, lines, reach, settings, pose, rows, space, H, V, told):
+def pull(gx, gy, gt, pose, doubt, reach, scale, V, out):
+    """Fill out (2, 3) with the gradient and the weight, in the basis V, of the pull to the guess (x, y, θ).
+
+    doubt (3,): deviation of the guess [m, m, rad]. It is far less sure than most matches, and matters in the others.
+    """
+    dx, dy, dt = se2_between(gx, gy, gt, pose[0], pose[1], pose[2])
+    c, s = math.cos(dt), math.sin(dt)
+    off = np.array([c * dx + s * dy, c * dy - s * dx, dt * reach])
+    variance = scale * scale
+    for k in range(3):
+        out[0, k] = out[1, k] = 0.0
+        for i in range(3):
+            deviation = doubt[i] * (reach if i == 2 else 1.0)
+            weight = variance / (deviation * deviation)
+            out[0, k] -= V[i, k] * weight * off[i]
+            out[1, k] += V[i, k] * V[i, k] * weight
+
+
+@kernel
+def align(x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, doubt, pose, rows, space, H, V, told):
     """Move the laser's pose (3,) until the points lie on the lines; leave H diagonal in its eigenbasis V.
 
     Along directions that are not told the pose stays where it was put. Returns the rows, the scale of the residuals
     and the sum of the robust weights.
     """
     m, scale, total = 0, 0.0, 0.0
+    gx, gy, gt = pose[0], pose[1], pose[2]
+    prior, d = np.empty((2, 3)), np.empty(3)
     told[:] = 1.0
     for iteration in range(settings.iterations):
         m = line_rows(x, y, r, cos, sin, increment, beams, lines, pose, settings.grazing, rows)
         if m < 6:
             return m, 0.0, 0.0
-        scale = max(robust_scale(rows, m, space), settings.floor)
+        worst = settings.worst * noise * max(1.0, 10.0 * 0.5**iteration)
+        scale = min(max(robust_scale(rows, m, space), 0.5 * noise), worst)
         limit = 1.0 / (settings.gate * scale) ** 2
         g0, g1, g2, total = normal_equations(rows, m, limit, reach, H)
         symmetric_eigen(H, V)
         find_told(rows, m, limit, reach, scale, settings.known, H, V, told)
-        d0 = d1 = d2 = 0.0
+        pull(gx, gy, gt, pose, doubt, reach, scale, V, prior)
+        d[:] = 0.0
         for k in range(3):
             if told[k] > 0.0:
-                along = (V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2) / H[k, k]
-                d0 += V[0, k] * along
-                d1 += V[1, k] * along
-                d2 += V[2, k] * along
-        dx, dy, dt = se2_exp(d0, d1, d2 / reach)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        pose[0] += c * dx - s * dy
-        pose[1] += s * dx + c * dy
-        pose[2] += dt
-        if abs(d0) + abs(d1) + abs(d2) < 1e-2 * scale * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
+                along = V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2 + prior[0, k]
+                along /= H[k, k] + prior[1, k]
+                for i in range(3):
+                    d[i] += V[i, k] * along
+        dx, dy, dt = se2_exp(d[0], d[1], d[2] / reach)
+        pose[0], pose[1], pose[2] = se2_compose(pose[0], pose[1], pose[2], dx, dy, dt)
+        if abs(d[0]) + abs(d[1]) + abs(d[2]) < 1e-2 * scale * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
             break
     return m, scale, total
 
@@ -271,13 +291,14 @@ def carry_covariance(adjoint, C, out):
 
 @kernel
 def match_points(
-    x, y, r, cos, sin, increment, beams, lines, reach, settings, mount, guess, free, pose, covariance, shared, told, V
+    x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, mount, guess, doubt, free,
+    pose, covariance, shared, told, V,
 ):  # fmt: skip
     """Match the points of a scan to the lines of a keyframe, starting from a guess (3,) of the base's pose.
 
     mount (3,): the laser in the base. Fills the base's pose (3,) seen from its pose at the keyframe, the covariance and
     its shared part (3, 3), and told (3,): which columns of V, directions of ξ, the scan tells.
-    Returns the rows, the scale of the residuals [m] and the mean robust weight.
+    Returns the rows, the scale of the residuals [m], and how many rows agree but for noise.
     """
     n = len(r)
     rows, space = np.empty((ROWS, n)), np.empty(n)
@@ -285,9 +306,15 @@ def match_points(
     ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
     gx, gy, gt = se2_compose(guess[0], guess[1], guess[2], mount[0], mount[1], mount[2])
     pose[0], pose[1], pose[2] = se2_compose(ix, iy, it, gx, gy, gt)
-    m, scale, total = align(x, y, r, cos, sin, increment, beams, lines, reach, settings, pose, rows, space, H, V, told)
+    m, scale, total = align(
+        x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, doubt, pose, rows, space, H, V, told
+    )
     if m < 6:
         return m, scale, 0.0
+    limit = 1.0 / (settings.gate * settings.agree * noise) ** 2
+    total = 0.0
+    for i in range(m):
+        total += max(1.0 - rows[3, i] * rows[3, i] * rows[4, i] * limit, 0.0)
     line_covariance(rows, m, scale, reach, settings, H, V, told, free, local, common)
     gx, gy, gt = se2_compose(mount[0], mount[1], mount[2], pose[0], pose[1], pose[2])
     pose[0], pose[1], pose[2] = se2_compose(gx, gy, gt, ix, iy, it)
@@ -295,4 +322,4 @@ def match_points(
     se2_adjoint(mount[0], mount[1], mount[2], adjoint)
     carry_covariance(adjoint, local, covariance)
     carry_covariance(adjoint, common, shared)
-    return m, scale, total / m
+    return m, scale, total

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import _match_kernels
-from longreach.odometry.point_to_line import Fit, Lines, Points, fit, lines_of, points_of
+from longreach.odometry.point_to_line import Fit, Lines, Points, fit, flow_guess, lines_of, points_of
 from longreach.odometry.scan_geometry import (
     FEWEST_BEAMS,
     ScanGeometry,
@@ -25,6 +25,8 @@ from longreach.odometry.scan_match import ScanMatch
 
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _FRESH = 0.3  # weight of the last twist in the running mean
+_DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
+_LEAST_SUPPORT = 0.25  # share of points that agree below which there is no match
 _LOST = 2  # scans without a match, after which the next one becomes a keyframe
 
 
@@ -38,10 +40,12 @@ class LidarConfig(BaseModel):
     grazing: float = Field(
         default=0.1, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
     )
+    worst: float = Field(default=4.0, gt=0, description="Scatter of the residuals at most, in noises of a range [1].")
+    doubt: float = Field(default=0.1, gt=0, description="Deviation of a guess [m, rad], and 0.3 of the motion.")
     known: float = Field(default=15.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
     common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
-    distance: float = Field(default=0.5, gt=0, description="From a keyframe to the next [m]; ours.")
-    angle: float = Field(default=0.4, gt=0, description="From a keyframe to the next [rad]; ours.")
+    distance: float = Field(default=0.7, gt=0, description="From a keyframe to the next [m]; ours.")
+    angle: float = Field(default=0.6, gt=0, description="From a keyframe to the next [rad]; ours.")
     overlap: float = Field(default=0.6, gt=0, lt=1, description="Beams that a keyframe explains at least [1]; ours.")
     speed: float = Field(default=1.0, gt=0, description="What a base may drive where scans do not tell [m/s].")
     turn: float = Field(default=1.0, gt=0, description="What a base may turn where scans do not tell [rad/s].")
@@ -53,7 +57,8 @@ class LidarConfig(BaseModel):
             iterations=self.iterations,
             gate=self.gate,
             grazing=self.grazing,
-            floor=1e-4,
+            worst=self.worst,
+            agree=1.0,
             known=self.known,
             common=self.common,
         )
@@ -61,7 +66,7 @@ class LidarConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A keyframe of one kind of scans: when it was, its lines, and the base's pose (3,) at the last scan seen from it.
+    """A keyframe of one kind of scans: when it was, its lines, the last scan, and where that was (3,) seen from it.
 
     lost: scans since the last match.
     """
@@ -69,19 +74,20 @@ class Reference:
     stamp: float
     geometry: ScanGeometry
     lines: Lines
+    last: Points
     pose: Float[np.ndarray, "3"]
     lost: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class LidarState:
-    """The keyframe of each kind of scan, when the last scan was, and the base's twist: the last, the running mean."""
+    """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean."""
 
     config: LidarConfig
     T_base_laser: Float[np.ndarray, "4 4"]
     references: tuple[Reference, ...] = ()
     stamp: float = -math.inf
-    twist: Float[np.ndarray, "2 3"] | None = None
+    motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
 
 
 def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
@@ -104,33 +110,50 @@ def step(
     if len(scan.ranges) < FEWEST_BEAMS:
         reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
-    config, period = state.config, scan.stamp - state.stamp
-    moved = _moved(state, period, guide)
+    period = scan.stamp - state.stamp
+    moved = _moved(state, guide)
     place = next((i for i, known in enumerate(state.references) if same_kind(scan, known.geometry)), None)
-    geometry = scan_geometry(scan, state.T_base_laser, 1) if place is None else state.references[place].geometry
+    geometry = scan_geometry(scan, state.T_base_laser, 5) if place is None else state.references[place].geometry
     points = _points(state, scan, geometry, guide, period)
     if place is None:
         reason = "the scan is the first of its kind"
         return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
             scan.stamp, None, reason, 0, keyframe=True
         )
-    reference = state.references[place]
-    since = scan.stamp - reference.stamp
-    free = np.array([config.speed * since, config.speed * since, config.turn * since]) ** 2
-    found = fit(points, reference.lines, geometry, config.lines, se2.compose(reference.pose, moved), free)
+    found = _best_fit(state, state.references[place], points, moved, scan.stamp)
     reason = _wrong(found, points)
     if reason:
         return _failed(state, scan, points, moved, place, reason)
     return _matched(state, scan, points, place, found)
 
 
-def _moved(state: LidarState, period: float, guide: np.ndarray | None) -> np.ndarray:
-    """Return the pose of the base now seen from the base at the last scan, as expected."""
+def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np.ndarray, stamp: float) -> Fit:
+    """Match from the guess, and where few points agree from what range flow finds since the last scan, too."""
+    config, since = state.config, stamp - reference.stamp
+    free = np.array([config.speed * since, config.speed * since, config.turn * since]) ** 2
+
+    def from_guess(moved: np.ndarray) -> Fit:
+        far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
+        doubt = config.doubt + 0.3 * np.array([far, far, turned])
+        guess = se2.compose(reference.pose, moved)
+        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free)
+
+    found = from_guess(moved)
+    if found.support < _DOUBTFUL and points.count >= _FEWEST_ROWS:
+        other = from_guess(flow_guess(reference.last, points, reference.geometry))
+        if other.support > found.support:
+            return other
+    return found
+
+
+def _moved(state: LidarState, guide: np.ndarray | None) -> np.ndarray:
+    """Return the pose of the base now seen from the base at the last scan, as expected.
+
+    Without a guide as far as last time: the stamps of a logger may be less regular than the scans are.
+    """
     if guide is not None and np.isfinite(guide).all():
         return guide
-    if state.twist is None or not math.isfinite(period):
-        return np.zeros(3)
-    return se2.exp(state.twist[0] * period)
+    return se2.exp(state.motion[0])
 
 
 def _points(
@@ -142,8 +165,8 @@ def _points(
     if share > 0.0:
         if guide is not None and np.isfinite(guide).all():
             motion = se2.log(guide)
-        elif state.twist is not None:
-            motion = state.twist[1] * period
+        else:
+            motion = state.motion[1]
         motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
     return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
 
@@ -154,7 +177,7 @@ def _wrong(found: Fit, points: Points) -> str:
         return f"only {points.count} beams see something"
     if found.rows < _FEWEST_ROWS:
         return f"only {found.rows} beams see something that the keyframe saw"
-    if found.support < 0.4:
+    if found.support < _LEAST_SUPPORT:
         return f"only {100 * found.support:.0f} % of the beams agree with the keyframe"
     if not (np.isfinite(found.pose).all() and np.isfinite(found.covariance).all()):
         return "the match is not finite"
@@ -168,7 +191,8 @@ def _restarted(
     others = tuple(
         replace(known, pose=se2.compose(known.pose, moved)) for i, known in enumerate(state.references) if i != place
     )
-    new = Reference(scan.stamp, geometry, lines_of(points, geometry), np.zeros(3))
+    noise = math.inf if place is None else 1.2 * state.references[place].lines.noise
+    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3))
     return replace(state, references=(*others, new), stamp=scan.stamp)
 
 
@@ -178,7 +202,7 @@ def _failed(
     reference = state.references[place]
     if reference.lost + 1 >= _LOST and points.count >= _FEWEST_ROWS:
         state = _restarted(state, scan, reference.geometry, points, moved, place)
-        return replace(state, twist=None), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
+        return replace(state, motion=np.zeros((2, 3))), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
     references = tuple(
         replace(known, pose=se2.compose(known.pose, moved), lost=known.lost + (i == place))
         for i, known in enumerate(state.references)
@@ -197,24 +221,23 @@ def _matched(
     keyframe = bool(
         math.hypot(found.pose[0], found.pose[1]) > config.distance
         or abs(found.pose[2]) > config.angle
-        or found.rows < config.overlap * points.count
+        or found.rows < config.overlap * min(points.count, reference.lines.count)
+        or (len(found.directions) and config.speed * (scan.stamp - reference.stamp) > 2.0 * config.distance)
     )
-    period = scan.stamp - state.stamp
-    twist = state.twist
-    if period > 0.0:
-        last = se2.log(moved) / period
-        mean = last if twist is None else twist[1] + _FRESH * (last - twist[1])
-        twist = np.stack([last, mean])
+    last = se2.log(moved)
+    motion = np.stack([last, state.motion[1] + _FRESH * (last - state.motion[1])])
     if keyframe:
         state = _restarted(state, scan, reference.geometry, points, moved, place)
     else:
         references = tuple(
-            replace(known, pose=found.pose if i == place else se2.compose(known.pose, moved), lost=0)
+            replace(known, pose=found.pose, last=points, lost=0)
+            if i == place
+            else replace(known, pose=se2.compose(known.pose, moved))
             for i, known in enumerate(state.references)
         )
         state = replace(state, references=references, stamp=scan.stamp)
     match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
-    return replace(state, twist=twist), match
+    return replace(state, motion=motion), match
 
 
 def lidar_odometry(

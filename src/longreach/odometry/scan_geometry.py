@@ -28,6 +28,11 @@ class ScanGeometry:
     sin: Float[np.ndarray, " total"]
     increments: Float[np.ndarray, " levels"]
 
+    @property
+    def finest(self) -> tuple[Float[np.ndarray, " beams"], Float[np.ndarray, " beams"]]:
+        """Cosines and sines of all beams."""
+        return self.cos[: self.beams], self.sin[: self.beams]
+
 
 def check_mount(T_base_laser: Float[np.ndarray, "4 4"]) -> None:
     """Raise EstimationError where the laser's plane is tilted by more than 15° against the floor."""
