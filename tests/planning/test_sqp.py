@@ -12,8 +12,8 @@ from longreach.errors import PlanningError
 from longreach.planning.links import AccelerationLimit, Smoothness, StepLimit, VelocityLimit
 from longreach.planning.problem import LIMITS, Problem, evaluate
 from longreach.planning.program import Program
-from longreach.planning.sqp import SqpConfig
 from longreach.planning.sqp_planner import optimise
+from longreach.planning.sqp_run import SqpConfig
 from longreach.planning.terms import NearSeed, Waypoints
 from longreach.planning.terms_pose import BaseDisc, BaseHeading, ToolPose
 

@@ -20,7 +20,7 @@ _NEXT = 2.0  # steps farther than the last one, a bound takes no part at first
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows a z in z (N p,): a is data[i, :count[i]] from the variable first[i] on. Their bounds, and last those of z."""
+    """Rows a z in z (N p,): a is data[i, :count[i]] from first[i] on. Bounds low and high of them, and last of z."""
 
     data: Float[np.ndarray, "m w"]
     first: np.ndarray

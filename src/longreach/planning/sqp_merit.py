@@ -1,14 +1,9 @@
 """The merit function of Algorithm 2, and what is read from it: which points are best, and how it all goes on."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from longreach.planning.program import Program
-    from longreach.planning.sqp import Run
+from longreach.planning.program import Program
+from longreach.planning.sqp_run import Run
 
 
 def merit(run: Run, b: np.ndarray, x: np.ndarray, f: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -1,9 +1,6 @@
 """The first half of a round of Algorithm 2: convexify and minimise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +8,8 @@ from longreach.planning import _band_kernels as bands
 from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.elastic import elastic
 from longreach.planning.sequence import add_costs
+from longreach.planning.sqp_run import Run
 from longreach.planning.subproblem import Difference, Step, Subproblem, one_waypoint
-
-if TYPE_CHECKING:
-    from longreach.planning.sqp import Run
 
 HOLDS = 1e-6  # a multiplier that is more than rounding
 _HELD, _HELD_NEAR = 10.0, 100.0  # curvature across inequalities that hold, in the Lagrangian's own; near a solution

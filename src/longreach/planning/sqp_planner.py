@@ -8,11 +8,13 @@ from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory, TaskReport
 from longreach.errors import PlanningError
-from longreach.planning import sqp
 from longreach.planning.links import Link, Smoothness, StepLimit
+from longreach.planning.priority_planner import plan_by_task_priority
 from longreach.planning.problem import Layout, Problem, evaluate
 from longreach.planning.program import Program, outside
+from longreach.planning.sqp import solve
 from longreach.planning.sqp_merit import merits, objectives
+from longreach.planning.sqp_run import SqpConfig
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
 from longreach.planning.task_priority import checked_start
 from longreach.planning.terms import NearSeed, Waypoints
@@ -35,7 +37,7 @@ def optimise(
     problem: Problem,
     start: Float[np.ndarray, "N n"],
     coupled: bool = True,
-    config: sqp.SqpConfig | None = None,
+    config: SqpConfig | None = None,
 ) -> SqpSolution:
     """Return the solution of a problem near a start (N, n), one configuration a waypoint.
 
@@ -48,7 +50,7 @@ def optimise(
     if start.shape != (n, robot.dof) or not np.all(np.isfinite(start)):
         raise PlanningError(f"The start must be {n} rows of {robot.dof} finite numbers, one row a waypoint.")
     index = np.arange(n)[None] if coupled else np.arange(n)[:, None]
-    run = sqp.solve(Program.of(problem, robot, reference, index), start[index], config or sqp.SqpConfig())
+    run = solve(Program.of(problem, robot, reference, index), start[index], config or SqpConfig())
     return solution_of(run, np.arange(len(index)))
 
 
@@ -59,7 +61,7 @@ def plan_by_sqp(
     iterations: int = 60,
     problem: Problem | None = None,
     coupled: bool = True,
-    config: sqp.SqpConfig | None = None,
+    config: SqpConfig | None = None,
     initial: ConfigurationTrajectory | None = None,
 ) -> OptimisedTrajectory:
     """Plan all waypoints at once (coupled), or each by itself, by Algorithm 2 from a start by task priority.
@@ -68,7 +70,7 @@ def plan_by_sqp(
 
     Its `solution` holds the certificate; where a constraint is not met, its report and the status say which.
     """
-    config = (config or sqp.SqpConfig()).model_copy(update={"iterations": iterations})
+    config = (config or SqpConfig()).model_copy(update={"iterations": iterations})
     problem = problem or thesis_problem()
     _check_start(robot, checked_start(robot, q0), problem)
     if not coupled:
@@ -103,7 +105,7 @@ def _check_start(robot: MobileManipulator, q0: np.ndarray, problem: Problem) -> 
                 )
 
 
-def _left(config: sqp.SqpConfig, end: float) -> sqp.SqpConfig:
+def _left(config: SqpConfig, end: float) -> SqpConfig:
     """Return the settings with what is left of the time."""
     return config.model_copy(update={"budget": max(end - time.monotonic(), 1e-3)})
 
@@ -117,8 +119,6 @@ def _by_task_priority(
     robot: MobileManipulator, reference: Reference, q0: np.ndarray, turn: float | np.ndarray = 0.0
 ) -> np.ndarray:
     """Return configurations (N, n) on the reference, its base turned."""
-    from longreach.planning.planner import plan_by_task_priority  # it knows this method, too
-
     base = None if reference.base is None else reference.base + np.array([0.0, 0.0, 1.0]) * np.reshape(turn, (-1, 1))
     slow = Reference(_LONG * np.arange(len(reference)), reference.tool, base)
     return plan_by_task_priority(robot, slow, q0).q
@@ -139,13 +139,13 @@ def _starts(
 
 
 def _best_alone(
-    robot: MobileManipulator, reference: Reference, starts: np.ndarray, problem: Problem, config: sqp.SqpConfig
+    robot: MobileManipulator, reference: Reference, starts: np.ndarray, problem: Problem, config: SqpConfig
 ) -> SqpSolution:
     """Return the best answer at each waypoint by itself, over the starts (s, N, n)."""
     s, N, n = starts.shape
     index = np.tile(np.arange(N), s)
     program = Program.of(problem, robot, reference, index[:, None])
-    run = sqp.solve(program, starts.reshape(s * N, 1, n), config, index if s > 1 else None)
+    run = solve(program, starts.reshape(s * N, 1, n), config, index if s > 1 else None)
     rank = np.where(run.solved, objectives(run), np.inf).reshape(s, N)
     rank = np.where(np.isfinite(rank).any(axis=0), rank, merits(run).reshape(s, N))
     return solution_of(run, rank.argmin(axis=0) * N + np.arange(N))
@@ -167,7 +167,7 @@ def _coupled_start(
 
 
 def _moved_clear(
-    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: SqpConfig
 ) -> np.ndarray:
     """Return the start with each waypoint where constraints are far from holding moved to the nearest where they do."""
     at = Waypoints(robot, reference, np.arange(len(start)), np.clip(start, robot.lower, robot.upper))
@@ -180,7 +180,7 @@ def _moved_clear(
 
 
 def _clear_between(
-    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: sqp.SqpConfig,
+    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: SqpConfig,
     end: float,
 ) -> SqpSolution:  # fmt: skip
     """Return the solution, its margins widened until the straight lines between waypoints are clear, too."""

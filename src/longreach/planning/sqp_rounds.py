@@ -1,17 +1,11 @@
 """The second half of a round of Algorithm 2: try the step, look at the optimality conditions."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from longreach.planning import _sqp_kernels as kernels
 from longreach.planning.sqp_merit import merit, remember, worst_violation
 from longreach.planning.sqp_model import HOLDS, Model, Steps, factors, gradient
-
-if TYPE_CHECKING:
-    from longreach.planning.sqp import Run
+from longreach.planning.sqp_run import Run
 
 _ROUNDING = 1e-11  # of the merit: an improvement less than that cannot be seen
 _NEAR = 1e-6  # a KKT residual below which the curvature changes no more

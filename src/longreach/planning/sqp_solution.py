@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.planning.problem import LIMITS
-from longreach.planning.sqp import Run
+from longreach.planning.sqp_run import Run
 
 _MATTERS = 1e-3  # of the largest multiplier: one that is less holds nothing
 
