@@ -29,6 +29,7 @@ def command(
     from longreach.evaluation.tables import metric_table
     from longreach.io.config import read_yaml, validated
     from longreach.io.robots import load_robot
+    from longreach.planning.planner import check_method
     from longreach.planning.problem_config import problem_of
 
     settings = {
@@ -41,6 +42,7 @@ def command(
         "duration": duration,
         "retime": retime,
     }
+    check_method(method)
     config = validated(PlanConfig, settings, "the options")
     posed = None if problem is None else problem_of(read_yaml(problem) or {})
     model = load_robot(robot)

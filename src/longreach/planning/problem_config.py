@@ -205,6 +205,8 @@ def problem_of(tree: Mapping[str, Any]) -> Problem:
     Raises:
         ConfigError: a key or a value that cannot be; the sentence names it.
     """
+    if not isinstance(tree, Mapping):
+        raise ConfigError(f"A problem is a mapping of costs, constraints and links, not a {type(tree).__name__}.")
     try:
         config = ProblemConfig.model_validate(dict(tree))
     except ValidationError as error:

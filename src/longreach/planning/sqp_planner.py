@@ -71,10 +71,14 @@ def plan_by_sqp(
     Its `solution` holds the certificate; where a constraint is not met, its report and the status say which.
     """
     config = (config or SqpConfig()).model_copy(update={"iterations": iterations})
-    problem = problem or thesis_problem()
+    problem = thesis_problem() if problem is None else problem
+    if not isinstance(problem, Problem):
+        raise PlanningError(f"The problem is a {type(problem).__name__}; make it by thesis_problem or problem_of.")
     _check_start(robot, checked_start(robot, q0), problem)
     if not coupled:
-        starts = _starts(robot, reference, q0, problem) if initial is None else _resampled(initial, reference)[None]
+        starts = (
+            _starts(robot, reference, q0, problem) if initial is None else _resampled(initial, robot, reference)[None]
+        )
         solution = _best_alone(robot, reference, starts, problem, config)
     else:
         starts = _starts(robot, reference, q0, problem)
@@ -82,7 +86,7 @@ def plan_by_sqp(
         if initial is None:
             start = _coupled_start(robot, reference, q0, problem, starts)
         else:
-            start = _resampled(initial, reference)
+            start = _resampled(initial, robot, reference)
         end = time.monotonic() + config.budget
         start = _moved_clear(robot, reference, problem, start, config)
         solution = _clear_between(robot, reference, problem, start, config, end)
@@ -110,7 +114,12 @@ def _left(config: SqpConfig, end: float) -> SqpConfig:
     return config.model_copy(update={"budget": max(end - time.monotonic(), 1e-3)})
 
 
-def _resampled(initial: ConfigurationTrajectory, reference: Reference) -> np.ndarray:
+def _resampled(initial: ConfigurationTrajectory, robot: MobileManipulator, reference: Reference) -> np.ndarray:
+    """Return where the former answer is at the reference's stamps (N, n)."""
+    if not isinstance(initial, ConfigurationTrajectory) or initial.q.shape[1] != robot.dof:
+        raise PlanningError(
+            f"The initial plan must be a trajectory of the joints of {robot.name}; give a former answer."
+        )
     columns = [np.interp(reference.stamps, initial.stamps, column) for column in initial.q.T]
     return np.column_stack(columns)
 
