@@ -1,6 +1,7 @@
 """Physics: how closely the base follows its commands, how slip grows as friction falls, and how fast it all runs.
 
 Run: python benchmarks/simulation.py. Bars: 3 % on the good floor; 8 times real time with all sensors on one core.
+Times are of the process, and the best of some repeats, for other work on the machine slows each of them.
 """
 
 import time
@@ -9,15 +10,19 @@ import numpy as np
 
 from longreach.control.hardware import Command
 from longreach.io.robots import load_robot
+from longreach.sim.kinematic_config import KinematicConfig
+from longreach.sim.kinematic_robot import KinematicRobot
+from longreach.sim.monte_carlo import drive_many
 from longreach.sim.physics import Simulation
 from longreach.sim.record import make_recording
+from longreach.sim.simulated import Simulated
 from longreach.sim.worlds import FLOORS
 
 COMMANDS = {"forward": (0.8, 0.0, 0.0), "sideways": (0.0, 0.8, 0.0), "turning": (0.0, 0.0, 1.0)}
 HARDEST = (0.0, 1.0, 0.0)  # to and fro, with the base's full acceleration
 
 
-def drive(simulation: Simulation, twist: np.ndarray, duration: float, tick: float) -> None:
+def drive(simulation: Simulated, twist: np.ndarray, duration: float, tick: float) -> None:
     for _ in range(round(duration / tick)):
         simulation.write(Command(simulation.stamp, base=twist, arm=np.zeros(6)))
         simulation.advance(tick)
@@ -61,6 +66,29 @@ def speed(tick: float, windows: int = 20, seconds: float = 1.0) -> tuple[float, 
     return float(np.median(found)), max(found)
 
 
+def kinematic_speed(present: tuple[str, ...], tick: float, seconds: float = 5.0) -> float:
+    """How many times faster than real time the robot without forces is, at best."""
+    simulation = KinematicRobot(load_robot("thing"), config=KinematicConfig.model_validate({"present": present}))
+    found = []
+    for _ in range(10):
+        began = time.process_time()
+        drive(simulation, np.array([0.1, 0.1, 0.1]), seconds, tick)
+        found.append(seconds / (time.process_time() - began))
+    return max(found)
+
+
+def many_speed(runs: int = 100, ticks: int = 500) -> float:
+    """How many times faster than real time drives by the thousand are, at best."""
+    thing, twists = load_robot("thing"), np.random.default_rng(0).uniform(-1.0, 1.0, (runs, ticks, 3))
+    drive_many(thing, twists[:1])
+    found = []
+    for _ in range(5):
+        began = time.process_time()
+        drive_many(thing, twists)
+        found.append(0.02 * runs * ticks / (time.process_time() - began))
+    return max(found)
+
+
 def scan_time() -> float:
     """Milliseconds a sweep of 1081 beams takes, noise included."""
     thing = load_robot("thing")
@@ -84,6 +112,10 @@ def main() -> None:
     for tick, who in ((0.02, "base commands at 50 Hz"), (0.008, "arm and base at 125 Hz")):
         median, best = speed(tick)
         print(f"speed, all sensors, {who}: {median:.1f} times real time, best second {best:.1f} (bar 8)")
+    for tick, present in ((0.008, ("wheels", "imu", "joints")), (0.02, ("wheels",))):
+        times = kinematic_speed(present, tick)
+        print(f"kinematic, {', '.join(present)}, commands at {1 / tick:.0f} Hz: {times:.0f} times real time")
+    print(f"kinematic, many drives at once: {many_speed():.0f} times real time")
     began = time.process_time()
     make_recording(load_robot("thing"), duration=20.0)
     print(f"a recording of 20 s through the laboratory: {20.0 / (time.process_time() - began):.1f} times real time")

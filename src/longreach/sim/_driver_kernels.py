@@ -13,18 +13,30 @@ def copy(source, target):
 
 
 @kernel
-def approach(value, wanted, step):
-    """Move each value towards what is wanted by at most its step, in place."""
-    for i in range(len(value)):
-        value[i] += min(max(wanted[i] - value[i], -step[i]), step[i])
+def run_base(twist, wanted, step, inverse, out):
+    """Rows of out (count, w): the wheels' speeds while the twist goes towards what is wanted, by `step` a row."""
+    for k in range(len(out)):
+        for i in range(3):
+            twist[i] += min(max(wanted[i] - twist[i], -step[i]), step[i])
+        for w in range(len(inverse)):
+            out[k, w] = inverse[w, 0] * twist[0] + inverse[w, 1] * twist[1] + inverse[w, 2] * twist[2]
 
 
 @kernel
-def approach_all(value, wanted, step, out):
-    """Rows of out (count, n): the next values on the way; `value` ends at the last of them."""
-    for k in range(len(out)):
-        approach(value, wanted, step)
-        copy(value, out[k])
+def grip(position, velocity, effort, share, lever):
+    """How far fingers (k,), the last joints, are closed, how fast, and with what force at the tips.
+
+    share (k,): what each one's angle says of that, 0 where it says nothing; lever: from a tip to its joint.
+    """
+    first, moving = len(position) - len(share), 0
+    closed = speed = torque = 0.0
+    for i in range(len(share)):
+        if share[i] > 0.0:
+            moving += 1
+            closed += share[i] * position[first + i]
+            speed += share[i] * velocity[first + i]
+            torque += abs(effort[first + i])
+    return closed, speed, torque / (max(moving, 1) * lever)
 
 
 @kernel

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from longreach.control.hardware import GripperCommand
 from longreach.robot.bases import MecanumBase
 from longreach.robot.chain import JointLimits
-from longreach.sim._driver_kernels import approach_all, run_arm
+from longreach.sim._driver_kernels import run_arm, run_base
 
 GRIP_SPEED = 1.0  # of the fingers when told a position [1/s]; ours
 HARDEST = 1e3  # acceleration of a joint that says none [rad/s²]; ours
@@ -33,14 +33,14 @@ class BaseDriver:
 
     def take(self, twist: Float[np.ndarray, "3"], until: float) -> None:
         """Hold a twist up to a time."""
-        self.wanted, self.until = np.clip(twist, -self.velocity, self.velocity), until
+        self.wanted, self.until = np.minimum(np.maximum(twist, -self.velocity), self.velocity), until
 
     def speeds(self, now: float, dt: float, count: int) -> Float[np.ndarray, "count 4"]:
         """Return the wheels' speeds [rad/s] in the next `count` steps of dt [s]."""
         wanted = self.wanted if now < self.until else np.zeros(3)
-        twists = np.empty((count, 3))
-        approach_all(self.twist, wanted, self.acceleration * dt, twists)
-        return twists @ self.wheels.inverse_matrix.T
+        speeds = np.empty((count, len(self.wheels.inverse_matrix)))
+        run_base(self.twist, wanted, self.acceleration * dt, self.wheels.inverse_matrix, speeds)
+        return speeds
 
 
 @dataclass

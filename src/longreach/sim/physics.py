@@ -185,7 +185,7 @@ class Simulation:
         """Return the mean of what was sensed in the time between two readings, and how old that is [s]."""
         count = min(max(round(1.0 / (line.timing.rate * STEP)), 1), PAST - AT_ONCE)
         # MuJoCo computes these numbers before it takes the step: they are one step old.
-        return self._motion.sensed[row - count + 1 : row + 1].sum(axis=0) / count, (0.5 * (count - 1) + 1.0) * STEP
+        return np.add.reduce(self._motion.sensed[row - count + 1 : row + 1]) / count, (0.5 * (count - 1) + 1.0) * STEP
 
     def _sense(self) -> None:
         """Let every sensor read that is due, and send what it read on its way."""

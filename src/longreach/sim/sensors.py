@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.geometry import se2
 from longreach.measurement import GripperState, Imu, JointState, LaserScan, WheelSpeeds, WheelTicks, Wrench
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount
+from longreach.sim._driver_kernels import grip
 from longreach.sim._sweep_kernels import spoil, sweep
 
 _BEAMS = 1081
@@ -233,6 +234,5 @@ def gripper_state(joints: JointState, share: Float[np.ndarray, " k"], lever: flo
 
     share (k,) [1/rad]: what a joint's angle says of that; lever: of a finger, from its tip to its joint [m].
     """
-    k, moving = len(share), np.count_nonzero(share)
-    force = float(np.abs(joints.effort[-k:]) @ (share > 0)) / (moving * lever)
-    return GripperState(joints.stamp, float(joints.position[-k:] @ share), float(joints.velocity[-k:] @ share), force)
+    closed, velocity, force = grip(joints.position, joints.velocity, joints.effort, share, lever)
+    return GripperState(joints.stamp, closed, velocity, force)
