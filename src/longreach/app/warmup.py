@@ -9,6 +9,7 @@ import numpy as np
 import longreach
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
+from longreach.estimation.spatial import estimate_in_space
 from longreach.io.config import load_description
 from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
@@ -17,6 +18,8 @@ from longreach.planning.planner import plan
 from longreach.planning.reference import dual_trajectory
 from longreach.robot.manipulability import manipulability
 from longreach.sim.kinematic import make_recording
+from longreach.spatial_measurement import SpatialRecording, TwistReading
+from longreach.spatial_settings import SensorSettings, SpatialSettings
 
 Progress = Callable[[str, float], None]
 
@@ -76,8 +79,16 @@ def _sqp() -> None:
         plan(thing, reference, thing.home, method="sqp", coupled=coupled)
 
 
+def _space() -> None:
+    mask = (False,) * 6 + (True,) * 3 + (False,) * 6
+    settings = SpatialSettings((SensorSettings("twist0", "twist", "twist", mask),))
+    readings = [TwistReading(0.1 * i, np.zeros(6), np.eye(6), "", "twist0") for i in range(3)]
+    estimate_in_space(SpatialRecording("none", tuple(readings), mounts={"": np.eye(4)}), settings)
+
+
 ROOMS: Mapping[str, Callable[[], None]] = {
     "estimation": _estimation,
+    "estimation in space": _space,
     "kinematics": _kinematics,
     "task priority": _task_priority,
     "sqp": _sqp,

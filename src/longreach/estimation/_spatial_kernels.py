@@ -19,7 +19,15 @@ N = 15
 _STEEP = 1e-3  # |cos(pitch)| is taken to be no less than this in E
 
 
-@kernel
+@kernel(entry=True)
+def copy(A, out):
+    """A (15, 15) into out; a slice would do, and take seconds to compile."""
+    for i in range(N):
+        for j in range(N):
+            out[i, j] = A[i, j]
+
+
+@kernel(entry=True)
 def rotation(roll, pitch, yaw, R):
     """Rz(yaw) Ry(pitch) Rx(roll)."""
     sr, cr, sp, cp = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
@@ -29,7 +37,7 @@ def rotation(roll, pitch, yaw, R):
     R[2, 0], R[2, 1], R[2, 2] = -sp, cp * sr, cp * cr
 
 
-@kernel
+@kernel(entry=True)
 def angle_terms(roll, pitch):
     """sin and cos of the roll, tan and 1/cos of the pitch, away from its poles."""
     cp = math.cos(pitch)
@@ -37,7 +45,7 @@ def angle_terms(roll, pitch):
     return math.sin(roll), math.cos(roll), math.sin(pitch) / cp, 1.0 / cp
 
 
-@kernel
+@kernel(entry=True)
 def move(x, dt, lead, R, out):
     """The mean after dt; leaves R(ρ_m) in R."""
     sr, cr, tp, ip = angle_terms(x[3], x[4])
@@ -58,51 +66,42 @@ def move(x, dt, lead, R, out):
     out[3], out[4], out[5] = x[3] + dt * (x[9] + s * tp), x[4] + dt * c, x[5] + dt * s * ip
 
 
-@kernel
-def _rates(sr, cr, tp, ip, E):
-    E[0, 0], E[0, 1], E[0, 2] = 1.0, sr * tp, cr * tp
-    E[1, 0], E[1, 1], E[1, 2] = 0.0, cr, -sr
-    E[2, 0], E[2, 1], E[2, 2] = 0.0, sr * ip, cr * ip
-
-
-@kernel
+@kernel(entry=True)
 def jacobian(x, dt, lead, R, J):
     """Rows of ∂(p, ρ) over (ρ, v, ω, a), less the identity: J (6, 12). R is R(ρ_m), as `move` leaves it."""
-    E, Em, D, G, M = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     sr, cr, tp, ip = angle_terms(x[3], x[4])
     s, c = sr * x[10] + cr * x[11], cr * x[10] - sr * x[11]
     h, half = lead * dt, 0.5 * dt * dt
-    _rates(sr, cr, tp, ip, E)
+    e01, e02, e11, e12, e21, e22 = sr * tp, cr * tp, cr, -sr, sr * ip, cr * ip  # E(ρ), whose first column is (1, 0, 0)
+    g00, g10, g20 = 1.0 + h * c * tp, -h * s, h * c * ip  # ∂ρ_m/∂ρ, whose last column is (0, 0, 1)
+    g01, g21 = h * s * ip * ip, h * s * tp * ip
     roll, pitch, yaw = x[3] + h * (x[9] + s * tp), x[4] + h * c, x[5] + h * s * ip
-    G[0, 0], G[1, 0], G[2, 0] = 1.0 + h * c * tp, -h * s, h * c * ip  # ∂ρ_m/∂ρ
-    G[0, 1], G[1, 1], G[2, 1], G[2, 2] = h * s * ip * ip, 1.0, h * s * tp * ip, 1.0
     sr, cr, tp, ip = angle_terms(roll, pitch)
     s, c = sr * x[10] + cr * x[11], cr * x[10] - sr * x[11]
-    _rates(sr, cr, tp, ip, Em)
-    M[0, 0], M[1, 0], M[2, 0] = dt * c * tp, -dt * s, dt * c * ip  # ∂(dt E ω)/∂ρ_m
-    M[0, 1], M[2, 1] = dt * s * ip * ip, dt * s * tp * ip
     d0, d1, d2 = dt * x[6] + half * x[12], dt * x[7] + half * x[13], dt * x[8] + half * x[14]
     sp, cp, sy, cy = -R[2, 0], math.cos(pitch), math.sin(yaw), math.cos(yaw)
     uy, uz = cr * d1 - sr * d2, sr * d1 + cr * d2  # Rx d
-    along, up = cp * uz - sp * d0, -sp * uz - cp * d0
-    for i in range(3):  # D: ∂(R d)/∂ρ_m
-        D[i, 0] = R[i, 2] * d1 - R[i, 1] * d2
-    D[0, 1], D[1, 1], D[2, 1] = cy * along, sy * along, up
-    flat = cp * d0 + sp * uz
-    D[0, 2], D[1, 2], D[2, 2] = -sy * flat - cy * uy, cy * flat - sy * uy, 0.0
-    for i in range(3):
+    along, up, flat = cp * uz - sp * d0, -sp * uz - cp * d0, cp * d0 + sp * uz
+    pitching, yawing = (cy * along, sy * along, up), (-sy * flat - cy * uy, cy * flat - sy * uy, 0.0)
+    for i in range(3):  # the position: ∂(R d)/∂ρ_m times ∂ρ_m/∂ρ, and ∂ρ_m/∂ω = h E
+        r, p, y = R[i, 2] * d1 - R[i, 1] * d2, pitching[i], yawing[i]
+        J[i, 0], J[i, 1], J[i, 2] = r * g00 + p * g10 + y * g20, r * g01 + p + y * g21, y
+        J[i, 6], J[i, 7], J[i, 8] = h * r, h * (r * e01 + p * e11 + y * e21), h * (r * e02 + p * e12 + y * e22)
         for k in range(3):
-            pr = pw = rr = rw = 0.0
-            for l in range(3):
-                pr += D[i, l] * G[l, k]
-                pw += D[i, l] * E[l, k]
-                rr += M[i, l] * G[l, k]
-                rw += M[i, l] * E[l, k]
-            J[i, k], J[i, 3 + k], J[i, 6 + k], J[i, 9 + k] = pr, dt * R[i, k], h * pw, half * R[i, k]
-            J[3 + i, k], J[3 + i, 3 + k], J[3 + i, 6 + k], J[3 + i, 9 + k] = rr, 0.0, dt * Em[i, k] + h * rw, 0.0
+            J[i, 3 + k], J[i, 9 + k] = dt * R[i, k], half * R[i, k]
+    rolls, pitches = (dt * c * tp, -dt * s, dt * c * ip), (dt * s * ip * ip, 0.0, dt * s * tp * ip)  # ∂(dt E ω)/∂ρ_m
+    rates = ((dt, dt * sr * tp, dt * cr * tp), (0.0, dt * cr, -dt * sr), (0.0, dt * sr * ip, dt * cr * ip))
+    for i in range(3):
+        r, p = rolls[i], pitches[i]
+        J[3 + i, 0], J[3 + i, 1], J[3 + i, 2] = r * g00 + p * g10, r * g01 + p, 0.0
+        J[3 + i, 6] = rates[i][0] + h * r
+        J[3 + i, 7] = rates[i][1] + h * (r * e01 + p * e11)
+        J[3 + i, 8] = rates[i][2] + h * (r * e02 + p * e12)
+        for k in range(3):
+            J[3 + i, 3 + k] = J[3 + i, 9 + k] = 0.0
 
 
-@kernel
+@kernel(entry=True)
 def propagate(J, dt, P, A):
     """P ← F P Fᵀ for F = I + J and the velocity's dt, in place and exactly symmetric; A (15, 15) is room to work in.
 
@@ -144,14 +143,14 @@ def propagate(J, dt, P, A):
             P[i, j] = P[j, i] = A[i, j]
 
 
-@kernel
+@kernel(entry=True)
 def wrap_angles(x):
     for i in range(3, 6):
         if abs(x[i]) > math.pi:
             x[i] = wrap(x[i])
 
 
-@kernel
+@kernel(entry=True)
 def add_noise(Q, dt, speed, P):
     """P ← P + dt Q; where a speed ≥ 0 is given, the noise of the pose grows with its square."""
     pose = dt if speed < 0.0 else dt * speed * speed
@@ -160,20 +159,19 @@ def add_noise(Q, dt, speed, P):
             P[i, j] += (pose if i < 6 and j < 6 else dt) * Q[i, j]
 
 
-@kernel
-def predict(x, P, dt, lead, Q, speed, work):
-    """Extended prediction of dt, in place."""
-    R, J = np.empty((3, 3)), np.empty((6, 12))
-    moved = np.empty(N)
+@kernel(entry=True)
+def predict(x, P, dt, lead, Q, speed, work, R, J, moved):
+    """Extended prediction of dt, in place; work (15, 15), R (3, 3), J (6, 12) and moved (15,) are room to work in."""
     move(x, dt, lead, R, moved)
     jacobian(x, dt, lead, R, J)
     propagate(J, dt, P, work)
     add_noise(Q, dt, speed, P)
-    x[:] = moved
+    for i in range(N):
+        x[i] = moved[i]
     wrap_angles(x)
 
 
-@kernel
+@kernel(entry=True)
 def cholesky(S, n, L):
     """L Lᵀ = S for the first n rows; whether S is positive definite and finite."""
     for i in range(n):
@@ -190,22 +188,23 @@ def cholesky(S, n, L):
     return True
 
 
-@kernel
-def correct(x, P, k, start, width, r, H, R, gate, PHt, K, S, L, D):
+@kernel(entry=True)
+def correct(x, P, M, barely, k, start, width, r, H, R, gate, room):
     """Take an innovation r (k,) = z - h(x) with ∂h/∂x = H over `width` columns from `start`, in place.
 
     Returns the NIS; it is infinite where its covariance is not positive definite. Above the gate nothing is taken.
-    Joseph's form: (I - K H) P (I - K H)ᵀ + K R Kᵀ.
+    Joseph's form: (I - K H) P (I - K H)ᵀ + K R Kᵀ. M is P, but for `barely`, as robot_localization's UKF corrects:
+    there the gain is from an M that lacks the last prediction's noise, and P ← P - K (H M Hᵀ) Kᵀ.
     """
-    for i in range(N):
-        for a in range(k):
-            PHt[a, i] = 0.0
+    PHt, K, S, L, D = room
     for a in range(k):
+        for i in range(N):
+            PHt[a, i] = 0.0
         for c in range(width):
             h = H[a, c]
             if h != 0.0:
                 for i in range(N):
-                    PHt[a, i] += h * P[start + c, i]
+                    PHt[a, i] += h * M[start + c, i]
     for a in range(k):
         for b in range(a + 1):
             total = R[a, b]
@@ -227,12 +226,15 @@ def correct(x, P, k, start, width, r, H, R, gate, PHt, K, S, L, D):
     for a in range(k):
         for i in range(N):
             x[i] += K[a, i] * r[a]
-    _joseph(P, k, S, PHt, K, D)
+    if barely:
+        _without_noise(P, k, S, R, K, D)
+    else:
+        _joseph(P, k, S, PHt, K, D)
     wrap_angles(x)
     return nis
 
 
-@kernel
+@kernel(entry=True)
 def _gain(PHt, L, k, K):
     """K (k, 15), transposed: S⁻¹ H P."""
     for a in range(k):
@@ -253,7 +255,7 @@ def _gain(PHt, L, k, K):
             K[a, i] *= f
 
 
-@kernel
+@kernel(entry=True)
 def _joseph(P, k, S, PHt, K, D):
     """P ← P - K (H P) - D Kᵀ with D = P Hᵀ - K S: (I - K H) P (I - K H)ᵀ + K R Kᵀ multiplied out, for any K."""
     for a in range(k):
@@ -271,3 +273,17 @@ def _joseph(P, k, S, PHt, K, D):
     for i in range(N):
         for j in range(i):
             P[j, i] = P[i, j]
+
+
+@kernel(entry=True)
+def _without_noise(P, k, S, R, K, D):
+    """P ← P - K (S - R) Kᵀ."""
+    for a in range(k):
+        for i in range(N):
+            D[a, i] = 0.0
+            for b in range(k):
+                D[a, i] += (S[a, b] - R[a, b]) * K[b, i]
+    for a in range(k):
+        for i in range(N):
+            for j in range(N):
+                P[i, j] -= K[a, i] * D[a, j]

@@ -4,7 +4,7 @@ Tuples that go through all functions here:
     model    Q (15, 15), lead, as_is, unscented, α, κ, dynamic, planar
     control  stamps (m,), commands (m, 6), on (6,), limits (4, 6): up, gain up, down, gain down; timeout [s]
     row      start, k, z (6,), H (6, 6), R (6, 6), gate, lever (3,), gravity
-    room     what `work_room` makes
+    room     what `work_room` makes, once, for the kernels make no arrays
 start says what is measured: 0 the pose, 6 the twist, 12 an acceleration at `lever` [m] from the base. as_is: as
 robot_localization does it, lever arm and ω × v left out of the Jacobian, the latter altogether.
 """
@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from longreach.estimation import _spatial_kernels, _spatial_unscented_kernels
-from longreach.estimation._spatial_kernels import N
+from longreach.estimation._spatial_kernels import N, copy
 from longreach.geometry._kernels import wrap
 from longreach.kernels import kernel
 
@@ -31,13 +31,21 @@ def work_room():
     for a in range(7):
         rows[a, _PLANAR[a]] = 1.0
     return (
-        (np.zeros((N, N)), np.empty((N, N)), np.empty((N, N)), np.empty(N)),
+        (
+            np.zeros((N, N)),
+            np.empty((N, N)),
+            np.empty(N),
+            np.empty((3, 3)),
+            np.empty((6, 12)),
+            np.empty(N),
+            np.empty(N),
+        ),
         (np.empty((7, N)), np.empty((7, N)), np.empty((7, 7)), np.empty((7, 7)), np.empty((7, N))),
         (np.empty(7), np.empty((7, 12)), np.empty((6, 6)), np.empty((6, 6)), rows, np.eye(7) * _PLANAR_VARIANCE),
     )
 
 
-@kernel
+@kernel(entry=True)
 def _push(error, wanted, state, limits, i):
     """Acceleration towards a commanded velocity, through zero if it has the other sign, within limits."""
     aim = wanted if abs(error) <= abs(wanted) + 0.01 else 0.0
@@ -45,11 +53,17 @@ def _push(error, wanted, state, limits, i):
     return min(max(limits[down + 1, i] * (aim - state), -limits[down, i]), limits[down, i])
 
 
-@kernel
+@kernel(entry=True)
 def _steer(x, t, dt, control):
     """Let the last command before t set the accelerations, as far as it is on; none, or an old one, means to stop."""
     stamps, commands, on, limits, timeout = control
-    last = np.searchsorted(stamps, t, side="right") - 1
+    last, after = -1, len(stamps)  # the last command at or before t
+    while after - last > 1:
+        middle = (last + after) // 2
+        if stamps[middle] <= t:
+            last = middle
+        else:
+            after = middle
     for i in range(6):
         if on[i]:
             wanted = commands[last, i] if last >= 0 and t - stamps[last] < timeout else 0.0
@@ -60,11 +74,11 @@ def _steer(x, t, dt, control):
                 x[6 + i] += a * dt
 
 
-@kernel
+@kernel(entry=True)
 def advance(x, P, t, dt, model, control, room):
     """Predict dt ahead to t, in place."""
     Q, lead, as_is, unscented, alpha, kappa, dynamic, _ = model
-    bare, square, root, line = room[0]
+    bare, square, moved, R, J, _, _ = room[0]
     speed = -1.0
     if dynamic:
         speed = 0.0
@@ -73,14 +87,14 @@ def advance(x, P, t, dt, model, control, room):
         speed = math.sqrt(speed)
     _steer(x, t, dt, control)
     if not unscented:
-        _spatial_kernels.predict(x, P, dt, lead, Q, speed, square)
+        _spatial_kernels.predict(x, P, dt, lead, Q, speed, square, R, J, moved)
     elif as_is:
-        _spatial_unscented_kernels.predict_rigidly(x, P, dt, Q, speed, bare, square)
+        _spatial_unscented_kernels.predict_rigidly(x, P, dt, Q, speed, bare, square, R, J, moved)
     else:
-        _spatial_unscented_kernels.predict(x, P, dt, lead, Q, speed, alpha, kappa, root, line)
+        _spatial_unscented_kernels.predict(x, P, dt, lead, Q, speed, alpha, kappa, room[0])
 
 
-@kernel
+@kernel(entry=True)
 def _specific_force(x, P, row, turning, as_is, r, A, C, noise):
     """z - H f and A over (ρ, v, ω, a), f = a + ω × v + α × l + ω × (ω × l) and, where it is to be removed, gravity.
 
@@ -99,7 +113,8 @@ def _specific_force(x, P, row, turning, as_is, r, A, C, noise):
     for a in range(k):
         h0, h1, h2 = H[a, 0], H[a, 1], H[a, 2]
         r[a] = z[a] - h0 * f0 - h1 * f1 - h2 * f2
-        A[a, :9] = 0.0
+        for c in range(9):
+            A[a, c] = 0.0
         A[a, 9], A[a, 10], A[a, 11] = h0, h1, h2
         if not as_is:
             A[a, 0] = gravity * (h1 * cp * cr - h2 * cp * sr)
@@ -119,7 +134,7 @@ def _specific_force(x, P, row, turning, as_is, r, A, C, noise):
             noise[a, b] = noise[b, a] = total
 
 
-@kernel
+@kernel(entry=True)
 def observe(x, P, row, turning, as_is, room):
     """Fill the room's innovation, Jacobian and noise; returns where the Jacobian's columns start, and their number."""
     start, k, z, H, R, _, lever, _ = row
@@ -127,7 +142,9 @@ def observe(x, P, row, turning, as_is, room):
     if start == 12:
         _specific_force(x, P, row, turning, as_is, r, A, C, noise)
         return 3, 12
-    noise[:] = R
+    for a in range(k):
+        for b in range(k):
+            noise[a, b] = R[a, b]
     d = A[6]  # a row of room that is not needed here
     for i in range(6):
         d[i] = z[i] - x[start + i]
@@ -147,71 +164,66 @@ def observe(x, P, row, turning, as_is, room):
     return start, 6
 
 
-@kernel
-def begin(x, P, row, model, room):
-    """Let the first measurement set what it measures, whatever was given as the initial state."""
+@kernel(entry=True)
+def forget(P, row, bare):
+    """Make what a measurement sees unknown, so that the first one sets it, whatever the initial state was."""
     start, k, _, H, R, _, _, _ = row
     variance = 0.0
     for a in range(k):
         variance = max(variance, _UNKNOWN * R[a, a])
     for c in range(6):
         for a in range(k):
-            if H[a, c] != 0.0 and P[start + c, start + c] != variance:
-                P[start + c, :] = 0.0
-                P[:, start + c] = 0.0
+            if H[a, c] != 0.0:
+                for i in range(N):
+                    P[start + c, i] = P[i, start + c] = 0.0
                 P[start + c, start + c] = variance
-    first, width = observe(x, P, row, np.zeros(3), True, room)
-    r, A, noise, _, _, _ = room[2]
-    PHt, K, S, L, D = room[1]
-    nis = _spatial_kernels.correct(x, P, k, first, width, r, A, noise, np.inf, PHt, K, S, L, D)
-    room[0][0][:] = P
-    return REFUSED if nis == np.inf else USED
+    copy(P, bare)
 
 
-@kernel
+@kernel(entry=True)
 def take(x, P, row, turning, model, room):
     """Correct by one measurement, in place: what became of it, and its NIS."""
     k, gate = row[1], row[5]
     as_is, unscented, planar = model[2], model[3], model[7]
-    PHt, K, S, L, D = room[1]
     r, A, noise, _, rows, still = room[2]
     first, width = observe(x, P, row, turning, as_is, room)
-    if as_is and unscented:
-        nis = _spatial_unscented_kernels.correct_barely(x, P, room[0][0], k, first, width, r, A, noise, gate)
-    else:
-        nis = _spatial_kernels.correct(x, P, k, first, width, r, A, noise, gate, PHt, K, S, L, D)
+    barely, bare = as_is and unscented, room[0][0]
+    nis = _spatial_kernels.correct(x, P, bare if barely else P, barely, k, first, width, r, A, noise, gate, room[1])
     if planar:
         for a in range(7):
             r[a] = -x[_PLANAR[a]]
-        _spatial_kernels.correct(x, P, 7, 0, N, r, rows, still, np.inf, PHt, K, S, L, D)
-        room[0][0][:] = P
+        _spatial_kernels.correct(x, P, P, False, 7, 0, N, r, rows, still, np.inf, room[1])
+    if barely and nis < gate:
+        copy(P, bare)
     if nis == np.inf:
         return REFUSED, nis
     return (USED if nis < gate else GATED), nis
 
 
-@kernel
-def run(x, P, table, ticks, model, control, timeout, always, out):
+@kernel(entry=True)
+def run(x, P, table, ticks, model, control, timeout, always, out, room):
     """Take all rows of the table, and note the state at each tick: its stamp, mean and covariance of the pose.
 
     A tick without a measurement predicts up to itself once `timeout` [s] has passed since the last, or `always`.
-    out: status (n,), nis (n,), stamps (m,), means (m, 15), covariances (m, 6, 6), angular acceleration (3,).
+    out: status (n,), nis (n,), stamps (m,), means (m, 15), covariances (m, 6, 6), angular acceleration (3,), the
+    rates at the last tick (3,).
     """
     stamps, starts, ks, z, H, R, gates, levers, gravities = table
-    status, nis, out_stamps, means, covariances, turning = out
-    room = work_room()
-    rates, since, now, i, n = x[9:12].copy(), stamps[0], stamps[0], 0, len(stamps)
+    status, nis, out_stamps, means, covariances, turning, rates = out
+    since, now, i, n = stamps[0], stamps[0], 0, len(stamps)
+    for a in range(3):
+        rates[a] = x[9 + a]
     for m in range(len(ticks)):
         before = i
         while i < n and stamps[i] <= ticks[m]:
-            row = (starts[i], ks[i], z[i], H[i], R[i], gates[i], levers[i], gravities[i])
+            gate = gates[i] if i > 0 else np.inf
+            row = (starts[i], ks[i], z[i], H[i], R[i], gate, levers[i], gravities[i])
             if i == 0:
-                status[i] = begin(x, P, row, model, room)
-            else:
-                if stamps[i] > now:
-                    advance(x, P, stamps[i], stamps[i] - now, model, control, room)
-                    now = stamps[i]
-                status[i], nis[i] = take(x, P, row, turning, model, room)
+                forget(P, row, room[0][0])
+            if stamps[i] > now:
+                advance(x, P, stamps[i], stamps[i] - now, model, control, room)
+                now = stamps[i]
+            status[i], nis[i] = take(x, P, row, turning, model, room)
             i += 1
         if ticks[m] > now and (always or (i == before and ticks[m] - now >= timeout)):
             advance(x, P, ticks[m], ticks[m] - now, model, control, room)
@@ -221,4 +233,9 @@ def run(x, P, table, ticks, model, control, timeout, always, out):
                 turning[a] = (x[9 + a] - rates[a]) / (now - since)
                 rates[a] = x[9 + a]
             since = now
-        out_stamps[m], means[m], covariances[m] = now, x, P[:6, :6]
+        out_stamps[m] = now
+        for a in range(N):
+            means[m, a] = x[a]
+        for a in range(6):
+            for b in range(6):
+                covariances[m, a, b] = P[a, b]

@@ -7,13 +7,11 @@ correction is the extended one.
 
 import math
 
-import numpy as np
-
-from longreach.estimation._spatial_kernels import N, add_noise, cholesky, jacobian, move, propagate, wrap_angles
+from longreach.estimation._spatial_kernels import N, add_noise, copy, jacobian, move, propagate, wrap_angles
 from longreach.kernels import kernel
 
 
-@kernel
+@kernel(entry=True)
 def _semidefinite_root(P, L):
     """L Lᵀ = P; a direction in which P is zero, or less by rounding, gives a column of zeros."""
     for i in range(N):
@@ -28,21 +26,23 @@ def _semidefinite_root(P, L):
         L[i, i] = math.sqrt(total) if total > 1e-14 * P[i, i] else 0.0
 
 
-@kernel
-def predict(x, P, dt, lead, Q, speed, alpha, kappa, L, D):
-    """Unscented prediction of dt, in place; L (15, 15) and D (15,) are room to work in.
+@kernel(entry=True)
+def predict(x, P, dt, lead, Q, speed, alpha, kappa, room):
+    """Unscented prediction of dt, in place, in the run's room for it.
 
     The mean of the moved points is taken on SE(3), where it is the central one: log(exp(ξ) T) is odd in ξ. The mean of
     their coordinates would not be: with a heading uncertain by 1 rad it goes half as far as the robot.
     """
-    R, centre, point = np.empty((3, 3)), np.empty(N), np.empty(N)
+    _, L, D, R, _, centre, point = room
     _semidefinite_root(P, L)
     gamma = alpha * math.sqrt(N + kappa)
     weight = 0.5 / (gamma * gamma)
     position = (x[0], x[1], x[2])
     x[0] = x[1] = x[2] = 0.0  # where it is has no say in how it moves, and would cost digits
     move(x, dt, lead, R, centre)
-    P[:] = 0.0
+    for i in range(N):
+        for j in range(N):
+            P[i, j] = 0.0
     for c in range(N):
         for sign in range(2):
             if sign == 0 or c < 12:  # the motion is linear in the accelerations
@@ -66,64 +66,17 @@ def predict(x, P, dt, lead, Q, speed, alpha, kappa, L, D):
     add_noise(Q, dt, speed, P)
 
 
-@kernel
-def predict_rigidly(x, P, dt, Q, speed, bare, work):
+@kernel(entry=True)
+def predict_rigidly(x, P, dt, Q, speed, bare, work, R, J, moved):
     """Prediction with all sigma points moved along the mean's orientation; `bare` (15, 15) gets P without the noise."""
-    R, J, moved = np.empty((3, 3)), np.empty((6, 12)), np.empty(N)
     move(x, dt, 0.0, R, moved)
     jacobian(x, dt, 0.0, R, J)
     for i in range(6):
         for k in range(3):
             J[i, k] = 0.0
     propagate(J, dt, P, work)
-    bare[:] = P
+    copy(P, bare)
     add_noise(Q, dt, speed, P)
-    x[:] = moved
-    wrap_angles(x)
-
-
-@kernel
-def correct_barely(x, P, bare, k, start, width, r, H, R, gate):
-    """Correction with the sigma points of the last prediction, which lack its noise, and P ← P - K (H P Hᵀ) Kᵀ.
-
-    Returns the NIS, above the gate of which nothing is taken.
-    """
-    HP, A, S, L, K = np.zeros((k, N)), np.zeros((k, k)), np.empty((k, k)), np.zeros((k, k)), np.empty((k, N))
-    for a in range(k):
-        for c in range(width):
-            for i in range(N):
-                HP[a, i] += H[a, c] * bare[start + c, i]
-    for a in range(k):
-        for b in range(k):
-            for c in range(width):
-                A[a, b] += H[b, c] * HP[a, start + c]
-            S[a, b] = A[a, b] + R[a, b]
-    if not cholesky(S, k, L):
-        return np.inf
-    y, nis = np.empty(k), 0.0
-    for i in range(N + 1):  # columns of S⁻¹ HP, and last S⁻¹ r
-        for a in range(k):
-            total = HP[a, i] if i < N else r[a]
-            for b in range(a):
-                total -= L[a, b] * y[b]
-            y[a] = total / L[a, a]
-        if i == N:
-            for a in range(k):
-                nis += y[a] * y[a]
-            break
-        for a in range(k - 1, -1, -1):
-            total = y[a]
-            for b in range(a + 1, k):
-                total -= L[b, a] * K[b, i]
-            K[a, i] = total / L[a, a]
-    if not nis < gate:
-        return nis if nis >= 0.0 else np.inf
     for i in range(N):
-        for a in range(k):
-            x[i] += K[a, i] * r[a]
-            for b in range(k):
-                for j in range(N):
-                    P[i, j] -= K[a, i] * A[a, b] * K[b, j]
+        x[i] = moved[i]
     wrap_angles(x)
-    bare[:] = P
-    return nis

@@ -28,13 +28,13 @@ _PARTS[AccelerationReading] = ("acceleration", acceleration_rows)  # type: ignor
 class SpatialEstimate:
     """Rows of the estimate, and what became of each measurement.
 
-    stamps (n,) [s]; states (n, 15); covariance (n, 6, 6) of ξ = log(mean⁻¹ · truth), [v; ω] in the base's axes.
+    stamps (n,) [s]; states (n, 15); state_covariance (n, 6, 6) of position and angles in the world.
     used: source (odom0_twist, …) → how many were used, gated, refused. nis: source → stamps, NIS, rows of each.
     """
 
     stamps: Float[np.ndarray, " n"]
     states: Float[np.ndarray, "n 15"]
-    covariance: Float[np.ndarray, "n 6 6"]
+    state_covariance: Float[np.ndarray, "n 6 6"]
     used: Mapping[str, tuple[int, int, int]]
     nis: Mapping[str, tuple[np.ndarray, np.ndarray, int]]
     remarks: tuple[str, ...]
@@ -45,6 +45,14 @@ class SpatialEstimate:
         T = np.zeros((len(self.stamps), 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = from_angles(self.states[:, 3:6]), self.states[:, :3], 1.0
         return T
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "n 6 6"]:
+        """Of ξ = log(mean⁻¹ · truth), [v; ω] in the base's axes: ξ = (Rᵀ δp, W δρ)."""
+        J = np.zeros_like(self.state_covariance)
+        J[:, :3, :3] = np.swapaxes(from_angles(self.states[:, 3:6]), 1, 2)
+        J[:, 3:, 3:] = body_rates(self.states[:, 3:6])
+        return J @ self.state_covariance @ np.swapaxes(J, 1, 2)
 
 
 def estimate_in_space(recording: SpatialRecording, settings: SpatialSettings) -> SpatialEstimate:
@@ -60,18 +68,14 @@ def estimate_in_space(recording: SpatialRecording, settings: SpatialSettings) ->
     table, whose = _table(rows)
     ticks = _ticks(table[0], settings.frequency)
     n, m = len(whose), len(ticks)
-    out = (
-        np.zeros(n, dtype=np.int8),
-        np.full(n, np.nan),
-        np.zeros(m),
-        np.zeros((m, 15)),
-        np.zeros((m, 6, 6)),
-        np.zeros(3),
-    )
+    status, nis, stamps, states = np.zeros(n, dtype=np.int8), np.full(n, np.nan), np.zeros(m), np.zeros((m, 15))
+    covariances = np.zeros((m, 6, 6))
+    out = (status, nis, stamps, states, covariances, np.zeros(3), np.zeros(3))
     x, P = settings.initial_state.copy(), settings.initial_covariance.copy()
     model, control = model_of(settings), control_of(recording, settings)
-    kernels.run(x, P, table, ticks, model, control, settings.sensor_timeout, settings.predict_to_now, out)
-    status, nis, stamps, states, covariances, _ = out
+    kernels.run(
+        x, P, table, ticks, model, control, settings.sensor_timeout, settings.predict_to_now, out, kernels.work_room()
+    )
     fresh = np.concatenate(([True], np.diff(stamps) > 0))
     if not np.all(np.isfinite(states)):
         raise EstimationError("The filter lost itself in numbers that are not finite; check covariances and noise.")
@@ -79,7 +83,7 @@ def estimate_in_space(recording: SpatialRecording, settings: SpatialSettings) ->
     return SpatialEstimate(
         stamps[fresh],
         states[fresh],
-        in_body(states[fresh], covariances[fresh]),
+        covariances[fresh],
         used,
         consistency,
         (*recording.remarks, *remarks, *_said(rows, used)),
@@ -151,14 +155,6 @@ def control_of(recording: SpatialRecording, s: SpatialSettings) -> tuple[Any, ..
     limits = np.array([c.limits, c.gains, c.braking_limits, c.braking_gains])
     twists = np.array([command.twist for command in commands]).reshape(-1, 6)
     return np.array([command.stamp for command in commands]), twists, np.array(c.mask), limits, c.timeout
-
-
-def in_body(states: Float[np.ndarray, "n 15"], P: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n 6 6"]:
-    """Return the covariance of ξ for one of position and angles: ξ = (Rᵀ δp, W δρ)."""
-    J = np.zeros_like(P)
-    J[:, :3, :3] = np.swapaxes(from_angles(states[:, 3:6]), 1, 2)
-    J[:, 3:, 3:] = body_rates(states[:, 3:6])
-    return J @ P @ np.swapaxes(J, 1, 2)
 
 
 def _by_source(

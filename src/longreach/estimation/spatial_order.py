@@ -23,8 +23,12 @@ def judge(stamps: Float[np.ndarray, " n"], history: float) -> Arrival:
     """
     n = len(stamps)
     ahead = np.zeros(n, dtype=bool)
-    for i in range(n - 1):
-        ahead[i] = stamps[i] > np.median(stamps[i + 1 : i + 1 + _AFTER]) + history
+    whole = max(n - _AFTER, 0)  # so many have all that come after
+    if whole:
+        after = np.lib.stride_tricks.sliding_window_view(stamps[1:], _AFTER)
+        ahead[:whole] = stamps[:whole] > np.median(after, axis=1) + history
+    for i in range(whole, n - 1):
+        ahead[i] = stamps[i] > np.median(stamps[i + 1 :]) + history
     if n > 2:  # nothing came after the last
         others = np.sort(stamps[:-1][~ahead[:-1]])
         longest = float(np.diff(others).max(initial=0.0))
