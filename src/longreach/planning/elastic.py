@@ -1,5 +1,9 @@
-"""The subproblem where its rows contradict each other: all but the box give way, at the merit function's price."""
+"""The subproblem where its rows contradict each other: all but the box give way, at the merit function's price.
 
+By the same solver as `sequence`, whose rows then have that price; by piqp, with slacks, where it fails.
+"""
+
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,9 +11,12 @@ import piqp
 import scipy.sparse as sp
 from jaxtyping import Float
 
+from longreach.planning import _sequence_kernels as kernels
+from longreach.planning.sequence import band_of, rows_of
 from longreach.planning.subproblem import EXACT, Step, Subproblem
 
 _FLOOR = 1e-8  # curvature where the problem has none
+_STIFF = 1e4  # of rows that give way only at their price
 
 
 def elastic(
@@ -19,8 +26,33 @@ def elastic(
     """Return the step that minimises the ℓ1 merit's model within the box; the equations A d = -c give way, too.
 
     penalties: of the equations (e,), of the rows before the box (r,), and one a link. The answer is None only where
-    the solver fails.
+    the solvers fail.
     """
+    N, n, _ = q.Z.shape
+    e, r = A.shape[1], q.G.shape[1] - n
+    whole = replace(q, d0=np.zeros((N, n)))
+    Z = np.tile(np.eye(n), (N, 1, 1))
+    H = q.Z @ q.H @ q.Z.transpose(0, 2, 1) + _FLOOR * np.eye(n)
+    box = np.maximum(q.lower[:, r:], -q.reach), np.minimum(q.upper[:, r:], q.reach)
+    bounds = np.hstack([-c, q.lower[:, :r]]), np.hstack([-c, q.upper[:, :r]])
+    rows = rows_of(whole, Z, np.concatenate([A, q.G[:, :r]], axis=1), bounds, box)
+    on_links = [np.full(link.lower.size, mu) for link, mu in zip(q.limits, penalties[2], strict=True)]
+    price = np.concatenate([np.tile(np.hstack(penalties[:2]), N), *on_links, np.full(N * n, np.inf)])
+    d, y = np.zeros(N * n), np.zeros(len(price))
+    if not kernels.solve(
+        band_of(whole, Z, H), q.g.ravel(), *rows.parts, price, _STIFF, np.inf, 100 * EXACT, 100 * EXACT, d, y
+    ):
+        return _by_piqp(q, A, c, penalties)
+    stops = np.cumsum([N * (e + r), *(len(on_link) for on_link in on_links)])
+    mine, *links, sides = np.split(y, stops)
+    mine = mine.reshape(N, e + r)
+    multipliers = np.hstack([mine[:, e:], sides.reshape(N, n)])
+    return Step(d.reshape(N, n), multipliers, tuple(link.reshape(-1, n) for link in links), mine[:, :e].copy())
+
+
+def _by_piqp(
+    q: Subproblem, A: np.ndarray, c: np.ndarray, penalties: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> Step | None:
     N, n, _ = q.Z.shape
     r = q.G.shape[1] - n
     on_links = [

@@ -28,6 +28,11 @@ class Rows:
     low: np.ndarray
     high: np.ndarray
 
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        """All arrays, in this order."""
+        return self.data, self.first, self.count, self.low, self.high
+
 
 class Sequence:
     """The subproblems of one trajectory: it remembers what the last one's rows pulled, and how far it went."""
@@ -39,18 +44,19 @@ class Sequence:
     def solve(self, q: Subproblem) -> Step | None:
         """Return the step, or None where the rows contradict each other."""
         N, _, p = q.Z.shape
-        rows = _rows(q)
+        box = np.full((N, p), q.reach)
+        rows = rows_of(q, q.Z, q.G, (q.lower, q.upper), (-box, box))
         z, y = np.zeros(N * p), np.zeros(len(rows.low))
         if p == 0:
             return _step(q, z, y) if np.all((rows.low <= q.exact) & (rows.high >= -q.exact)) else None
-        B, c = _curvature(q, rows.data.shape[1])
+        B = band_of(q, q.Z, q.H)
+        c = np.einsum("kjp,kj->kp", q.Z, sum((cost.pull(q.d0) for cost in q.costs), q.g)).ravel()
         stiff, near = _FIRST, _NEAR * q.reach
         if len(self.pulls) == len(y):
             y[:], stiff, near = self.pulls, _LATER, _NEXT * self.far
         stiff *= float(np.median(B[:, -1]))
         prices = np.full(len(y), np.inf)
-        parts = (rows.data, rows.first, rows.count, rows.low, rows.high)
-        if not kernels.solve(B, c, *parts, prices, stiff, near, q.exact, _TIGHT * q.exact, z, y):
+        if not kernels.solve(B, c, *rows.parts, prices, stiff, near, q.exact, _TIGHT * q.exact, z, y):
             found = _piqp(B, c, rows, q.exact)
             if found is None:
                 return None
@@ -68,24 +74,25 @@ def _step(q: Subproblem, z: np.ndarray, y: np.ndarray) -> Step:
     return Step(q.d0 + np.einsum("kjp,kp->kj", q.Z, z.reshape(N, p)), rows, tuple(links))
 
 
-def _rows(q: Subproblem) -> Rows:
-    """Return all rows in z: the waypoints', then the links', with their bounds and the trust region's."""
-    N, n, p = q.Z.shape
-    r = q.G.shape[1]
-    sizes = [N * r, *(link.lower.size for link in q.limits)]
-    stops = np.cumsum(sizes)
+def rows_of(
+    q: Subproblem, Z: Float[np.ndarray, "N n p"], G: Float[np.ndarray, "N r n"],
+    bounds: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray],
+) -> Rows:  # fmt: skip
+    """Return the rows G, then the links', in z of d = d₀ + Z z, with their bounds and the box's on z."""
+    N, n, p = Z.shape
+    r = G.shape[1]
+    stops = np.cumsum([N * r, *(link.lower.size for link in q.limits)])
     data = np.zeros((stops[-1], p * _width(q)))
     at = np.zeros(stops[-1] + N * p)
-    kernels.waypoint_rows(q.G, q.Z, q.d0, data, at)
+    kernels.waypoint_rows(G, Z, q.d0, data, at)
     first, count = [np.repeat(np.arange(N) * p, r)], [np.full(N * r, p)]
     for link, start, stop in zip(q.limits, stops[:-1], stops[1:], strict=True):
         k, width = link.coefficients.shape
-        kernels.link_rows(link.coefficients, q.Z, q.d0, data[start:stop], at[start:stop])
+        kernels.link_rows(link.coefficients, Z, q.d0, data[start:stop], at[start:stop])
         first.append(np.repeat(np.arange(k) * p, n))
         count.append(np.full(k * n, width * p))
-    box = np.full(N * p, q.reach)
-    low = np.concatenate([q.lower.ravel(), *(link.lower.ravel() for link in q.limits), -box])
-    high = np.concatenate([q.upper.ravel(), *(link.upper.ravel() for link in q.limits), box])
+    low = np.concatenate([bounds[0].ravel(), *(link.lower.ravel() for link in q.limits), box[0].ravel()])
+    high = np.concatenate([bounds[1].ravel(), *(link.upper.ravel() for link in q.limits), box[1].ravel()])
     return Rows(data, np.concatenate(first), np.concatenate(count), low - at, high - at)
 
 
@@ -102,16 +109,13 @@ def add_costs(Z: Float[np.ndarray, "N n p"], costs: tuple[Difference, ...], B: F
         bands.add_links(Z, cost.coefficients, curvature, B)
 
 
-def _curvature(q: Subproblem, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the band of the quadratic cost in z, and its gradient at z = 0."""
-    N, _, p = q.Z.shape
-    B = np.zeros((N * p, width))
-    bands.add_blocks(q.H, B)
-    add_costs(q.Z, q.costs, B)
-    g = q.g
-    for cost in q.costs:
-        g = g + cost.pull(q.d0)
-    return B, np.einsum("kjp,kj->kp", q.Z, g).ravel()
+def band_of(q: Subproblem, Z: Float[np.ndarray, "N n p"], H: Float[np.ndarray, "N p p"]) -> Float[np.ndarray, "Np w"]:
+    """Return the band of the quadratic cost in z."""
+    N, _, p = Z.shape
+    B = np.zeros((N * p, p * _width(q)))
+    bands.add_blocks(H, B)
+    add_costs(Z, q.costs, B)
+    return B
 
 
 def _piqp(B: np.ndarray, c: np.ndarray, rows: Rows, exact: float) -> tuple[np.ndarray, np.ndarray] | None:
