@@ -87,8 +87,8 @@ def verdict(metrics: Metrics) -> str:
     """Return what the numbers say, in words."""
     off = {who: metrics[who]["final_position_error"]["value"] or 0.0 for who in ("fused", "wheels", "lidar")}
     return (
-        f"At the end the fused estimate was {off['fused']:.3f} m from the truth, the wheels alone {off['wheels']:.3f} m "
-        f"and the LIDAR alone {off['lidar']:.3f} m."
+        f"At the end the fused estimate was {off['fused']:.3f} m from the truth, the wheels {off['wheels']:.3f} m "
+        f"and the LIDAR {off['lidar']:.3f} m."
     )
 
 
