@@ -71,8 +71,6 @@ def test_matches_taken_for_independent_make_it_too_sure(rng):
     assert nees > high
 
 
-
-
 def test_the_noise_of_a_keyframe_cancels_where_one_match_leads_to_it_and_the_next_from_it(rng):
     """What a chain of keyframes says of its end is as wrong as the first and the last scan, however many it has."""
     loose = CONFIG.model_copy(update={"acceleration_deviation": (1e3,) * 3, "initial_twist_deviation": (1e3,) * 3})

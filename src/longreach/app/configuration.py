@@ -8,12 +8,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.estimation.filter_config import FilterConfig
 from longreach.measurement import Recording
+from longreach.odometry.lidar import LidarConfig
 from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.wheel import WheelConfig
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import stamp_deviation
 
 Source = Literal["wheels", "lidar", "imu", "fixes"]
+
+# What the filter learns of its sensors on the way: their noise, and how wrong the scale of wheels is, where 2 % is what
+# rollers creep and tyres wear.
+_LEARNED = {"noise_memory": 300.0, "scale_deviation": (0.02, 0.02, 0.02)}
 
 
 class EvaluationConfig(BaseModel):
@@ -47,6 +52,7 @@ class EstimateConfig(BaseModel):
         default=None, min_length=1, description="What is fused; null: all that the recording has."
     )
     wheels: WheelConfig = WheelConfig()
+    lidar: LidarConfig = LidarConfig()
     range_flow: RangeFlowConfig = RangeFlowConfig()
     filter: FilterConfig = FilterConfig(gate_mode="inflate", history=0.0)
     evaluation: EvaluationConfig = EvaluationConfig()
@@ -66,6 +72,9 @@ def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recor
         changes["stamp_deviation"] = stamp_deviation(rhythm)
     if "acceleration_deviation" not in config.filter.model_fields_set:
         changes["acceleration_deviation"] = tuple(limit / math.sqrt(3) for limit in robot.acceleration_limits)
+    for key, value in _LEARNED.items():
+        if key not in config.filter.model_fields_set:
+            changes[key] = value
     if "led_by_counter" not in config.filter.model_fields_set:
         gyro = bool(recording.imu) and (config.sources is None or "imu" in config.sources)
         changes["led_by_counter"] = (True, True, not gyro)

@@ -17,15 +17,17 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
+from longreach.app.guides import counter_events, lidar_events, wheel_guides
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
-from longreach.estimation.fusion import Anchor, Correction, Event
+from longreach.estimation.fusion import Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.evaluation.consistency import consistency_metrics
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
-from longreach.odometry.range_flow import ScanMatch, lidar_odometry
+from longreach.odometry.lidar import lidar_odometry
+from longreach.odometry.scan_match import ScanMatch
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
@@ -61,7 +63,7 @@ class Estimate:
     @property
     def lidar_measurements(self) -> tuple[RelativePoseMeasurement, ...]:
         """The matches that succeeded, as the filter got them."""
-        return tuple(match.measurement for match in self.matches if match.measurement is not None)
+        return _found(self.matches)
 
 
 def estimate(
@@ -91,14 +93,14 @@ def estimate(
     sources = _sources(recording, config)
 
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
-    matches = _matches(recording, robot, config, tell)  # (3.24)–(3.26)
-    found = tuple(match.measurement for match in matches if match.measurement is not None)
+    alone, matches = _matches(recording, robot, config, wheels.measurements if "wheels" in sources else (), tell)
     dead_reckoning = {
-        "lidar": chain(found, [scan.stamp for scan in recording.scans]),
+        "lidar": chain(_found(alone), [scan.stamp for scan in recording.scans]),
         "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
-    events = _events(recording, robot, sources, {"wheels": wheels.measurements, "lidar": found})
+    odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}
+    events = _events(recording, robot, sources, odometry)
     begin, fixes = events[0].stamp, recording.fixes if "fixes" in sources else ()
     pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
     state = fusion.init(begin, pose, covariance, config.filter)
@@ -107,7 +109,7 @@ def estimate(
     tell("evaluation", 0.0)
     trajectories = _as_recorded({"fused": _at_rows(fused, recording), **dead_reckoning}, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, corrections, found)
+    metrics = _with_consistency(evaluation, corrections, _found(matches))
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
     return Estimate(
         recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
@@ -141,22 +143,38 @@ def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]
 
 
 def _matches(
-    recording: Recording, robot: RobotDescription, config: EstimateConfig, tell: Progress
-) -> tuple[ScanMatch, ...]:
-    """Match each scan against the one before; of those of one stamp the last, for between them is no time to move."""
+    recording: Recording,
+    robot: RobotDescription,
+    config: EstimateConfig,
+    wheels: Sequence[RelativePoseMeasurement],
+    tell: Progress,
+) -> tuple[tuple[ScanMatch, ...], tuple[ScanMatch, ...]]:
+    """Match each scan against its keyframe, by LIDAR alone, and for the filter with the wheels as a guide.
+
+    Of scans of one stamp the last is taken, for between them is no time to move.
+    """
     scans = recording.scans
     if any(later.stamp < scan.stamp for scan, later in pairwise(scans)):
         raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
     some = [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
-    mount = sensor_mount(recording, robot, "lidar")
-    return lidar_odometry(some, mount, config.range_flow, lambda i: tell("LIDAR odometry", i / len(some)))
+    mount, runs = sensor_mount(recording, robot, "lidar"), 2 if wheels else 1
+    alone = lidar_odometry(some, mount, config.lidar, lambda i: tell("LIDAR odometry", i / (runs * len(some))))
+    if not wheels:
+        return alone, alone
+    guides = wheel_guides(wheels, [scan.stamp for scan in some])
+    told = lambda i: tell("LIDAR odometry", 0.5 + 0.5 * i / len(some))  # noqa: E731
+    return alone, lidar_odometry(some, mount, config.lidar, told, guides)
+
+
+def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:
+    return tuple(match.measurement for match in matches if match.measurement is not None)
 
 
 def _events(
     recording: Recording,
     robot: RobotDescription,
     sources: Sequence[Source],
-    odometry: Mapping[Source, Sequence[RelativePoseMeasurement]],
+    odometry: Mapping[Source, Sequence[Event]],
 ) -> list[Event]:
     """Return what the sources measured, as the filter takes it."""
     events: list[Event] = []
@@ -164,9 +182,8 @@ def _events(
         events += _imu(recording, robot)
     if "fixes" in sources:
         events += recording.fixes
-    for source, measurements in odometry.items():
-        if source in sources:
-            events += _anchored(measurements)
+    for source in sources:
+        events += odometry.get(source, ())
     if not events:
         raise EstimationError(
             f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
@@ -174,18 +191,6 @@ def _events(
             "wheel records or scans."
         )
     return fusion.in_order(events)
-
-
-def _anchored(measurements: Sequence[RelativePoseMeasurement]) -> list[Event]:
-    """Have the filter remember the pose that each measurement refers to, where no reading carries it there."""
-    events: list[Event] = []
-    carried_to = -np.inf
-    for measurement in measurements:
-        if measurement.stamp_reference != carried_to:
-            events.append(Anchor(measurement.stamp_reference, measurement.source))
-        events.append(measurement)
-        carried_to = -np.inf if measurement.reading_covariance is None else measurement.stamp
-    return events
 
 
 def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]:

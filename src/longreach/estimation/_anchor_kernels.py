@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from longreach.estimation._kernels import BODY, SCALE, congruence
-from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_log, se2_right_jacobian
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log, se2_right_jacobian
 from longreach.kernels import kernel
 
 
@@ -30,23 +30,30 @@ def carry(mean, P, anchor, pose, Q, led, variance, reach):
     moved[i], moved[i + 1], moved[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], x, y, t)
     x, y, t = se2_exp(-d0, -d1, -d2)
     se2_adjoint(x, y, t, T[i : i + 3, i : i + 3])
-    J = np.empty((3, 3))
+    J, L = np.empty((3, 3)), np.empty((3, 3))
     se2_right_jacobian(d0, d1, d2, J)
+    x, y, t = se2_between(mean[0], mean[1], mean[2], moved[i], moved[i + 1], moved[i + 2])
+    se2_adjoint(x, y, t, L)  # the anchor's error as the pose's, where both move together
+    for a in range(3):
+        L[:, a] *= led[a]
     fade = math.exp(-(math.hypot(way[0], way[1]) + abs(way[2])) / reach)
     for b in range(3):
         T[SCALE + b, SCALE + b] = fade
         moved[SCALE + b] = fade * mean[SCALE + b]
         for a in range(3):
             T[i + a, SCALE + b] = J[a, b] * way[b]
-            T[a, SCALE + b] = led[a] * J[a, b] * way[b]
+            for c in range(3):
+                T[a, SCALE + b] += L[a, c] * J[c, b] * way[b]
     new = congruence(T, P)
     for a in range(3):
         new[SCALE + a, SCALE + a] += (1.0 - fade * fade) * variance[a]
         for b in range(3):
             new[i + a, i + b] += Q[a, b]
-            new[a, b] += led[a] * led[b] * Q[a, b]
-            new[a, i + b] += led[a] * Q[a, b]
-            new[i + a, b] += led[b] * Q[a, b]
+            for c in range(3):
+                new[a, i + b] += L[a, c] * Q[c, b]
+                new[i + b, a] += L[a, c] * Q[c, b]
+                for d in range(3):
+                    new[a, b] += L[a, c] * Q[c, d] * L[b, d]
     return moved, new, T
 
 

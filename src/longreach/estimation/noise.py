@@ -8,6 +8,7 @@ A counter has two factors more, for the steps that add up: they are judged by wh
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from jaxtyping import Float, Int
 
 from longreach.estimation import _noise_kernels
 
-_LEAST, _MOST = 0.25, 25.0  # what a stated variance may be wrong by
+_MOST = 25.0  # what a stated variance may be too small by
+LEAST = 0.25  # and too large by, of a counter
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
 _OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
@@ -52,8 +54,9 @@ def learned(
     r: Float[np.ndarray, " k"],
     parts: Float[np.ndarray, "m k k"],
     memory: float,
+    least: Sequence[float],
 ) -> tuple[Noise, ...]:
-    """Return the factors after an innovation r ~ N(0, S); parts: two of S for each of the noises."""
+    """Return the factors after an innovation r ~ N(0, S); parts: two of S for each of the noises, least: their bounds."""
     slope, information = np.empty(len(parts)), np.empty(len(parts))
     if not _noise_kernels.score(S, r, parts, _OUTLIER * len(r), slope, information):
         return noises
@@ -61,6 +64,6 @@ def learned(
     for i, noise in enumerate(noises):
         g, new = slope[2 * i : 2 * i + 2], information[2 * i : 2 * i + 2]
         gathered = np.minimum(noise.information + new, memory)
-        log = np.clip(noise.log + g / gathered, math.log(_LEAST), math.log(_MOST))
+        log = np.clip(noise.log + g / gathered, math.log(least[i]), math.log(_MOST))
         after.append(Noise(log, gathered))
     return tuple(after)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from longreach.errors import EstimationError
 from longreach.estimation import ekf
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import AS_STATED, Noise, learned, parts_of, scaled
+from longreach.estimation.noise import AS_STATED, LEAST, Noise, learned, parts_of, scaled
 from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
@@ -260,5 +260,6 @@ def _learned(config: FilterConfig, now: Snapshot, measurement: Measurement, obse
             parts.append(H[:, :3] @ added @ H[:, :3].T)
         steps = dict.fromkeys(now.steps, np.zeros((2, 3, 3)))
     noises = tuple(now.noise.get(name, AS_STATED) for name in names)
-    after = learned(noises, H @ now.P @ H.T + R, r, np.concatenate(parts), config.noise_memory)
+    least = [LEAST if name != source or source in now.steps else 1.0 for name in names]
+    after = learned(noises, H @ now.P @ H.T + R, r, np.concatenate(parts), config.noise_memory, least)
     return now._replace(noise={**now.noise, **dict(zip(names, after, strict=True))}, steps=steps)
