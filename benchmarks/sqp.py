@@ -17,6 +17,7 @@ step above 0.025 rad; 2000 waypoints at most 12 times that.
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -26,10 +27,16 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 
 import longreach as lr
-from longreach.planning.obstacles import Box, Capsule, Disc, Obstacle
+from longreach.planning.obstacles import Box, Capsule, Disc, Obstacle, link_capsules
 from longreach.planning.problem import evaluate
 from longreach.planning.terms import Waypoints
-from longreach.planning.terms_clearance import base_clearance, least_clearance
+from longreach.planning.terms_clearance import (
+    Keeping,
+    SelfClearance,
+    arm_clearance,
+    base_clearance,
+    least_clearance,
+)
 from longreach.robot.manipulability import manipulability
 
 STEP = 0.02  # [m, rad] of thesis_problem
@@ -201,21 +208,47 @@ def scene(rng: np.random.Generator, base: np.ndarray) -> tuple[Obstacle, ...]:
     return tuple(out)
 
 
-def scenes(ref: lr.Reference, count: int) -> None:
-    """Print how many random scenes are passed without touching, between the waypoints too."""
+def base_scene(rng: np.random.Generator, ref: lr.Reference, _: np.ndarray) -> tuple[Keeping, ...]:
+    """Return what keeps the base clear of a random scene."""
     assert ref.base is not None
-    passed, solved, times, least = 0, 0, [], np.inf
+    return (base_clearance(BASE, scene(rng, ref.base)),)
+
+
+def arm_scene(rng: np.random.Generator, ref: lr.Reference, q: np.ndarray) -> tuple[Keeping, ...]:
+    """Return what keeps the arm clear of balls and beams beside and above its elbow's way along q.
+
+    And what keeps forearm, wrists and gripper 1 to 4 cm farther from the base's body than they come along q.
+    """
+    elbow = THING.chain.ending("forearm_link").forward_and_jacobian_batch(q)[0][:, :3, 3]
+    out: list[Obstacle] = []
+    for _ in range(rng.integers(1, 3)):
+        k, turn, radius = int(rng.integers(len(q) // 8, 7 * len(q) // 8)), rng.uniform(0.0, 0.5 * np.pi), 0.1
+        away = np.array([0.0, np.cos(turn), np.sin(turn)])  # beside it or above: it must pass
+        middle = elbow[k] + away * (0.14 + radius - rng.uniform(0.01, 0.06))
+        half = rng.choice([0.0, 0.2]) * np.array([1.0, 0.0, 0.0])
+        out.append(Capsule(middle - half, middle + half, radius))
+    far = tuple(c for c in link_capsules(THING) if c.frame not in ("shoulder_link", "upper_arm_link"))
+    T_base_body = np.eye(4)
+    T_base_body[2, 3] = 0.168
+    own = SelfClearance(far, (Box(T_base_body, np.array([0.96, 0.793, 0.296])),))
+    margin = least_clearance(THING, q, own)[0] + rng.uniform(0.01, 0.04)
+    return arm_clearance(THING, tuple(out)), replace(own, margin=max(margin, 0.0))
+
+
+def scenes(name: str, make: Callable[..., tuple[Keeping, ...]], ref: lr.Reference, count: int) -> None:
+    """Print how many random scenes are passed without touching, between the waypoints too."""
+    passed, solved, times, least, q0 = 0, 0, [], np.inf, start_of(ref)
     for seed in range(count):
-        term = base_clearance(BASE, scene(np.random.default_rng(seed), ref.base))
+        terms = make(np.random.default_rng(seed), ref, q0)
         began = time.perf_counter()
-        trajectory = plan(ref, problem=lr.thesis_problem(0.3, 0.5).adding(term))
+        trajectory = plan(ref, problem=lr.thesis_problem(0.3, 0.5).adding(*terms))
         times.append(time.perf_counter() - began)
-        clear = least_clearance(THING, trajectory.q, term, finer=50)[0]
+        clear = min(least_clearance(THING, trajectory.q, term, finer=50)[0] - term.margin for term in terms)
         good = not trajectory.solution.violated and clear >= 0.0
         passed, solved = passed + good, solved + trajectory.solution.converged
         least = min(least, clear) if good else least
     print(
-        f"{count} scenes of {len(ref)} waypoints: {passed} without touching, {solved} solved to 5e-7, "
+        f"{count} scenes for the {name}, {len(ref)} waypoints: {passed} without touching, {solved} solved to 5e-7, "
         f"median {np.median(times):.2f} s, longest {np.max(times):.2f} s, least clearance {1e3 * least:.3f} mm"
     )
 
@@ -291,7 +324,8 @@ def main() -> None:
     if find_spec("casadi"):
         scenes_beside_ipopt(half, options.ipopt_scenes)
     if options.scenes:
-        scenes(half, options.scenes)
+        scenes("base", base_scene, half, options.scenes)
+        scenes("arm", arm_scene, half, options.scenes)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from longreach.planning import _sequence_kernels as kernels
-from longreach.planning.sequence import band_of, rows_of
+from longreach.planning.sequence import Rows, band_of, rows_of
 from longreach.planning.subproblem import EXACT, Step, Subproblem
 
 _FLOOR = 1e-8  # curvature where the problem has none
-_STIFF = 1e4  # of rows that give way only at their price
+_STIFF = (1e4, 1e2, 1e1)  # of rows that give way only at their price: the first that leads to a solution
 
 
 def elastic(
@@ -38,16 +38,23 @@ def elastic(
     rows = rows_of(whole, Z, np.concatenate([A, q.G[:, :r]], axis=1), bounds, box)
     on_links = [np.full(link.lower.size, mu) for link, mu in zip(q.limits, penalties[2], strict=True)]
     price = np.concatenate([np.tile(np.hstack(penalties[:2]), N), *on_links, np.full(N * n, np.inf)])
-    d, y = np.zeros(N * n), np.zeros(len(price))
-    if not kernels.solve(
-        band_of(whole, Z, H), q.g.ravel(), *rows.parts, price, _STIFF, np.inf, 100 * EXACT, 100 * EXACT, d, y
-    ):
+    d, y = _solved(band_of(whole, Z, H), q.g.ravel(), rows, price)
+    if len(d) == 0:
         return _by_piqp(q, A, c, penalties)
     stops = np.cumsum([N * (e + r), *(len(on_link) for on_link in on_links)])
     mine, *links, sides = np.split(y, stops)
     mine = mine.reshape(N, e + r)
     multipliers = np.hstack([mine[:, e:], sides.reshape(N, n)])
     return Step(d.reshape(N, n), multipliers, tuple(link.reshape(-1, n) for link in links), mine[:, :e].copy())
+
+
+def _solved(B: np.ndarray, g: np.ndarray, rows: Rows, price: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the step and all multipliers; empty arrays where no stiffness of the rows leads there."""
+    for stiff in _STIFF:
+        d, y = np.zeros(len(g)), np.zeros(len(price))
+        if kernels.solve(B, g, *rows.parts, price, stiff, np.inf, 100 * EXACT, 100 * EXACT, d, y):
+            return d, y
+    return np.empty(0), np.empty(0)
 
 
 def _by_piqp(

@@ -18,7 +18,7 @@ from longreach.planning.sqp_run import SqpConfig
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
 from longreach.planning.task_priority import checked_start
 from longreach.planning.terms import NearSeed, Waypoints
-from longreach.planning.terms_clearance import Clearance, least_clearance
+from longreach.planning.terms_clearance import Clearance, Keeping, least_clearance
 from longreach.planning.terms_pose import BaseHeading, ToolPose
 from longreach.planning.thesis_problem import thesis_problem
 from longreach.reference import Reference
@@ -26,6 +26,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LONG = 1e4  # [s] between the waypoints of a start, so that no limit of speed counts
 _FAR = 0.01  # [m, rad] by which a start may violate a constraint that all waypoints together then come to keep
+_NEAREST = 15  # iterations on the way to a start that holds: then all waypoints together do better
 _WIDENINGS = 4  # of the margins, at most
 _WIDER = 1.5  # by which a margin grows, in what was missing between waypoints
 _RAMP = 0.6  # part of the largest step that a change of heading in the start takes
@@ -184,7 +185,7 @@ def _moved_clear(
     if outside(e.c, layout.lower, layout.upper).max(initial=0.0) <= _FAR:
         return start
     near = Problem((NearSeed(start, np.ones(robot.dof)),), problem.constraints, (), problem.limits)
-    half = config.model_copy(update={"budget": 0.5 * config.budget})
+    half = config.model_copy(update={"budget": 0.5 * config.budget, "iterations": min(_NEAREST, config.iterations)})
     return optimise(robot, reference, near, start, False, half).q
 
 
@@ -199,13 +200,13 @@ def _clear_between(
         short = {
             term.name: term.margin - least_clearance(robot, solution.q, term)[0]
             for term in problem.constraints
-            if isinstance(term, Clearance)
+            if isinstance(term, Keeping)
         }
         if solution.violated or time.monotonic() > end or all(gap <= 0.0 for gap in short.values()):
             break
         terms = [
             replace(term, margin=term.margin + _WIDER * max(short.get(term.name, 0.0), 0.0))
-            if isinstance(term, Clearance)
+            if isinstance(term, Keeping)
             else term
             for term in wider.constraints
         ]

@@ -144,8 +144,11 @@ class SelfClearance(Constraint):
         return np.zeros_like(Z)  # as above
 
 
+Keeping = Clearance | SelfClearance
+
+
 def least_clearance(
-    robot: MobileManipulator, q: Float[np.ndarray, "N n"], term: Clearance, finer: int = 20
+    robot: MobileManipulator, q: Float[np.ndarray, "N n"], term: Keeping, finer: int = 20
 ) -> tuple[float, int]:
     """Return the least distance [m] along straight lines between configurations, and after which of them it is.
 
