@@ -4,7 +4,7 @@ A driver for a robot of your own is one class with the five members of `Hardware
 
     class MyRobot:
         def __init__(self, address):
-            self.promises = Promises(arm_names=..., arm_limits=..., base_velocity=..., base_acceleration=...)
+            self.promises = promises_of(load_robot("mine"))
 
         def read(self):               # never waits: what has arrived since the last call, possibly nothing
             return Readings(stamp=now, joints=..., wheels=..., scans=...)
@@ -20,7 +20,7 @@ do by itself: bring the robot to rest when no command came for `promises.timeout
 The double in the tests, `RecordedHardware`, is the shortest one that works.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,6 +28,7 @@ from jaxtyping import Float
 
 from longreach.measurement import GripperState, Imu, JointState, LaserScan, Wheels, Wrench, frozen_array
 from longreach.robot.chain import JointLimits
+from longreach.robot.mobile_manipulator import MobileManipulator
 
 ArmMode = Literal["velocity", "position"]
 
@@ -99,6 +100,16 @@ class Promises:
     timeout: float = 0.25
     arm_modes: tuple[ArmMode, ...] = ("velocity", "position")
     gripper: bool = False
+
+
+def promises_of(robot: MobileManipulator, timeout: float = 0.25, gripper: bool = False) -> Promises:
+    """Return what a robot can do as its description says; timeout [s]: without a command it comes to rest."""
+    description, limits = robot.description, robot.limits
+    arm = JointLimits(**{f.name: getattr(limits, f.name)[robot.arm] for f in fields(JointLimits)})
+    fast = hard = None
+    if not description.bolted:
+        fast, hard = np.array(description.velocity_limits), np.array(description.acceleration_limits)
+    return Promises(robot.joint_names[robot.arm], arm, fast, hard, timeout=timeout, gripper=gripper)
 
 
 @runtime_checkable
