@@ -6,11 +6,11 @@ import pytest
 import longreach as lr
 from longreach.errors import LongreachError, PlanningError
 from longreach.planning.links import Smoothness
-from longreach.planning.obstacles import Box, Capsule, Disc
+from longreach.planning.obstacles import Box, Capsule, Disc, link_capsules
 from longreach.planning.problem import Problem
 from longreach.planning.sqp_planner import OptimisedTrajectory, _turns
 from longreach.planning.sqp_run import SqpConfig
-from longreach.planning.terms_clearance import base_clearance, least_clearance
+from longreach.planning.terms_clearance import SelfClearance, arm_clearance, base_clearance, least_clearance
 from longreach.planning.terms_pose import BaseDisc, ToolPose
 
 THING = lr.load_robot("thing").with_tool("flange")
@@ -83,6 +83,34 @@ def test_the_base_goes_around_obstacles_between_waypoints_too(obstacle):
     straight = lr.plan(THING, lr.Reference(1e3 * ref.stamps, ref.tool, ref.base), HOME)
     assert least_clearance(THING, straight.q, term)[0] < -0.02
     assert clear.solution.objective.mean() >= free.solution.objective.mean() - 1e-6
+
+
+def test_the_arm_goes_around_what_its_elbow_would_touch_and_keeps_off_its_base():
+    ref = reference()
+    straight = lr.plan(THING, lr.Reference(1e3 * ref.stamps, ref.tool, ref.base), HOME).q
+    elbow = THING.chain.ending("forearm_link").forward_and_jacobian_batch(straight)[0][15, :3, 3]
+    above = elbow + np.array([0.0, 0.0, 0.14])
+    arm = arm_clearance(THING, (Capsule(above, above, 0.1),))
+    far = tuple(c for c in link_capsules(THING) if c.frame not in ("shoulder_link", "upper_arm_link"))
+    deck = Box(np.eye(4), np.array([0.96, 0.79, 0.6]))
+    own = SelfClearance(far, (deck,))
+    own = SelfClearance(far, (deck,), margin=least_clearance(THING, straight, own)[0] + 0.02)
+    assert least_clearance(THING, straight, arm)[0] < -0.005
+    clear = plan(ref, problem=lr.thesis_problem(0.3, 0.5).adding(arm, own))
+    assert clear.solution.violated == (), clear.solution.status
+    assert least_clearance(THING, clear.q, arm, finer=50)[0] >= -1e-9
+    assert least_clearance(THING, clear.q, own, finer=50)[0] >= own.margin - 1e-9
+
+
+def test_replanning_from_a_moved_start_reuses_the_last_answer():
+    ref = reference()
+    first = plan(ref)
+    q0 = HOME + np.array([0.004, -0.003, 0.02, 0.03, -0.02, 0.02, 0.0, 0.01, 0.0])
+    fresh = lr.plan(THING, ref, q0, method="sqp")
+    again = lr.plan(THING, ref, q0, method="sqp", initial=first)
+    assert again.solution.converged
+    assert again.solution.iterations < fresh.solution.iterations
+    np.testing.assert_allclose(again.solution.objective.mean(), fresh.solution.objective.mean(), atol=1e-4)
 
 
 def test_an_obstacle_on_the_way_without_room_is_named_within_the_budget():
