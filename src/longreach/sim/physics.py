@@ -5,8 +5,9 @@ noisy, as `longreach.sim.sensors` makes it; `truth` is what really happens.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,7 +19,7 @@ from longreach.robot.description import Encoder, Mount
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.motion import AT_ONCE, LEVER, PAST, Motion
 from longreach.sim.mujoco_model import GRAVITY, STEP
-from longreach.sim.pictures import Pictures
+from longreach.sim.pictures import Pictures, Trail
 from longreach.sim.places import load_of
 from longreach.sim.sensors import (
     Gyro,
@@ -151,13 +152,26 @@ class Simulation:
         """Return what motion capture saw so far, at its rate."""
         return [self._motion.truth_of(step, glimpse) for step, glimpse in self._glimpses]
 
-    def image(self, camera: str = "overview", width: int = 640, height: int = 480) -> UInt8[np.ndarray, "h w 3"]:
+    @property
+    def draws(self) -> bool:
+        """Whether there is something to draw pictures with."""
+        return self._pictures.possible
+
+    def image(
+        self, camera: str = "overview", width: int = 640, height: int = 480, trails: Sequence[Trail] = ()
+    ) -> UInt8[np.ndarray, "h w 3"]:
         """Return what a camera sees now (height, width, 3), RGB: overview, or a camera of the robot.
+
+        Arguments: trails: colours and points (n, 3) [m] of paths that hang in space.
 
         Raises:
             ConfigError: there is no such camera, the picture is too large, or there is nothing to draw with.
         """
-        return self._pictures.draw(self._motion.data, camera, width, height)
+        return self._pictures.draw(self._motion.data, camera, width, height, trails)
+
+    def engine_state(self) -> tuple[Any, Any]:
+        """Return MuJoCo's model and data, for a window on them."""
+        return self._motion.model, self._motion.data
 
     def _fit_sensors(self, seed: int) -> None:
         """Make each sensor with a stream of random numbers of its own."""
