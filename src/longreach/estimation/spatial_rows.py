@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from longreach.estimation.spatial_angles import angle_rates, body_rates, from_angles, to_angles
 from longreach.geometry import se3
-from longreach.spatial_measurement import AccelerationReading, PoseReading, SpatialRecording, TwistReading
+from longreach.spatial_measurement import AccelerationReading, PoseReading, Reading, SpatialRecording, TwistReading
 from longreach.spatial_settings import SensorSettings, SpatialSettings
 
 _LEAST_VARIANCE = 1e-9  # in place of zero, which messages leave where they know none; as robot_localization
@@ -47,7 +47,8 @@ def pose_rows(
     sensor: SensorSettings, readings: Sequence[PoseReading], world: SpatialRecording, s: SpatialSettings
 ) -> Rows:
     """Return poses as they are, relative to the first, or as twists from one to the next; of an IMU the orientation."""
-    stamps, C = np.array([r.stamp for r in readings]), np.array([r.covariance for r in readings])
+    mask = sensor.mask[:6]
+    stamps, C = np.array([r.stamp for r in readings]), _covariances(readings, mask)
     T, known = _whole(np.array([r.pose for r in readings]))
     is_imu, as_is = sensor.kind == "imu", s.as_robot_localization
     mount = np.array([world.mounts[r.frame if is_imu else r.child] for r in readings])
@@ -57,7 +58,6 @@ def pose_rows(
     T = T @ se3.inverse(_turned(turn) if is_imu else mount)
     if is_imu and as_is:
         T = _turned(_unmounted(sensed[:, :3, :3], turn))
-    mask = sensor.mask[:6]
     Q = _yaw_of(turn) if is_imu else origin[:, :3, :3]  # by which robot_localization turns masks and covariances
     if sensor.differential:
         return _differences(sensor, stamps, T, C, known, turn, Q, s)
@@ -86,11 +86,11 @@ def twist_rows(
     sensor: SensorSettings, readings: Sequence[TwistReading], world: SpatialRecording, s: SpatialSettings
 ) -> Rows:
     """Return twists of the sensor; its linear velocity is that of the point where it sits."""
-    stamps, C = np.array([r.stamp for r in readings]), np.array([r.covariance for r in readings])
+    mask = sensor.mask[6:12]
+    stamps, C = np.array([r.stamp for r in readings]), _covariances(readings, mask)
     mount = np.array([world.mounts[r.frame] for r in readings])
     raw = np.array([r.twist for r in readings])
     twist, turn, lever = np.where(np.isfinite(raw), raw, 0.0), mount[:, :3, :3], mount[:, :3, 3]
-    mask = sensor.mask[6:12]
     if s.as_robot_localization:
         z = np.concatenate([_each(turn, twist[:, :3]), _each(turn, twist[:, 3:])], axis=1)
         given = np.where(_all_known(raw, mask), z, np.nan)
@@ -108,7 +108,7 @@ def acceleration_rows(
     """Return accelerations; gravity is removed by the message's own orientation, else by the filter's."""
     stamps = np.array([r.stamp for r in readings])
     C = np.zeros((len(stamps), 6, 6))
-    C[:, :3, :3] = [r.covariance for r in readings]
+    C[:, :3, :3] = _covariances(readings, sensor.mask[12:])
     mount = np.array([world.mounts[r.frame] for r in readings])
     turn, lever = mount[:, :3, :3], mount[:, :3, 3]
     raw = np.zeros((len(stamps), 6))
@@ -167,7 +167,7 @@ def _finish(
     stamps: np.ndarray,
     z: np.ndarray,
     given: np.ndarray,
-    mask: Sequence[bool],
+    mask: Sequence[bool] | np.ndarray,
     H: np.ndarray,
     C: np.ndarray,
     gate: float,
@@ -181,7 +181,9 @@ def _finish(
     R, own = C[:, rows][:, :, rows], np.arange(k)
     variance = np.abs(R[:, own, own]) if s.as_robot_localization else R[:, own, own]
     good = np.isfinite(given[:, rows]) & np.isfinite(variance) & (variance >= 0.0)
-    good &= np.isfinite(R).all(axis=(1, 2), keepdims=True)[:, 0] | np.isinf(variance)
+    bounded = np.isfinite(variance)
+    whole = np.isfinite(R) | ~bounded[:, :, None] | ~bounded[:, None, :]
+    good &= np.asarray(whole.all(axis=(1, 2)))[:, None]
     incomplete = int(np.count_nonzero(~good.all(axis=1)))
     kept = H[:, rows].copy()
     if s.two_d_mode:
@@ -202,6 +204,12 @@ def _finish(
     return Rows(sensor.name, block, k, stamps, values, out[0], out[1], gate**2, lever, gravity, incomplete)
 
 
+def _covariances(readings: Sequence[Reading], mask: Sequence[bool]) -> np.ndarray:
+    """Return the covariances; what is no number there is zero where nobody asks for it."""
+    C, asked = np.array([reading.covariance for reading in readings]), np.array(mask)
+    return np.where(np.isfinite(C) | (asked[:, None] & asked), C, 0.0)
+
+
 def _in_base(mask: Sequence[bool], Q: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which values of the base have a part in masked ones, unit rows, and C turned into the base by Q."""
     parts = [np.linalg.norm(Q * np.array(mask[i : i + 3], dtype=float), axis=2).max(axis=0) for i in (0, 3)]
@@ -210,7 +218,7 @@ def _in_base(mask: Sequence[bool], Q: np.ndarray, C: np.ndarray) -> tuple[np.nda
 
 def _whole(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return poses without NaN, and which of their six values are known."""
-    place, turn = np.isfinite(T[:, :3, 3]), np.isfinite(T[:, :3, :3]).all(axis=(1, 2))
+    place, turn = np.isfinite(T[:, :3, 3]), np.asarray(np.isfinite(T[:, :3, :3]).all(axis=(1, 2)))
     T = T.copy()
     T[:, :3, 3] = np.where(place, T[:, :3, 3], 0.0)
     T[~turn, :3, :3] = np.eye(3)

@@ -83,7 +83,7 @@ def _settings(values: Mapping[str, Any], where: str) -> SpatialSettings:
     frequency = values.get("frequency", 30.0)
     odom = values.get("odom_frame", "odom")
     late = abs(values.get("history_length", 0.0)) if values.get("smooth_lagged_data", False) else 0.0
-    sensors = tuple(_sensor(*match.groups(), values) for match in map(_SENSOR.fullmatch, values) if match)
+    sensors = tuple(_sensor(match[1], match[2], values) for match in map(_SENSOR.fullmatch, values) if match)
     if not any(any(sensor.mask) for sensor in sensors):
         raise ConfigError(f"{where}: no sensor has anything to fuse; set entries of {sensors[0].name}_config to true.")
     defaults = SpatialSettings(sensors)

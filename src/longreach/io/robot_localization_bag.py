@@ -251,7 +251,7 @@ def _frames(
                 T = tree.between(root, frame)
                 if T is None:
                     raise RecordingError(
-                        f"{reading.source} is in the frame {frame}, which no transform of the recording fixes to {root}; "
+                        f"{reading.source} is in the frame {frame}, which nothing in the recording fixes to {root}; "
                         f"say where it is by --transform {root}:{frame}=x,y,z,roll,pitch,yaw."
                     )
                 known[frame] = T
