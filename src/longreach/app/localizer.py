@@ -12,17 +12,21 @@ from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
+from longreach.app.guides import counter_events, match_events, wheel_guide
 from longreach.control.hardware import Readings
 from longreach.estimation import ekf, fusion
-from longreach.estimation.fusion import Anchor, Correction, Event, FusionState
+from longreach.estimation.fusion import Correction, Event, FusionState
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.observation import planar_imu
 from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement, Wheels
-from longreach.odometry import range_flow
+from longreach.odometry import lidar
+from longreach.odometry.lidar import LidarState
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 
 _REMEMBERED = 12  # wheel records that the next one is seen with
+_STEPS = 100  # of the wheels that are remembered: two seconds of them
+_NOTHING = Recording("live")
 _HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
 
 
@@ -36,14 +40,19 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizerState:
-    """What the sources and the filter remember; `carried_to`: the reading up to which a counter carries its anchor."""
+    """What the sources and the filter remember.
+
+    steps: the last of the wheels, for the scans that are to come; carried_to: the reading up to which a counter carries
+    its anchor.
+    """
 
     robot: RobotDescription
     config: EstimateConfig
     filter: FusionState
     start: float
+    lidar: LidarState
     wheels: tuple[Wheels, ...] = ()
-    lidar: range_flow.RangeFlowState | None = None
+    steps: tuple[RelativePoseMeasurement, ...] = ()
     carried_to: float = -np.inf
 
     def belief(self, now: float) -> Belief:
@@ -60,12 +69,12 @@ def init(
 ) -> LocalizerState:
     """Start at rest at a pose [m, m, rad] that is known exactly, as a run defines its own frame."""
     config = config or EstimateConfig()
-    sensors = Recording("live", imu=())
-    chosen = filter_for(config, robot, sensors)
+    chosen = filter_for(config, robot, _NOTHING)
     gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
     led = {} if "led_by_counter" in config.filter.model_fields_set else {"led_by_counter": (True, True, not gyro)}
     chosen = chosen.model_copy(update={"history": _HISTORY, **led})
-    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp)
+    matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
+    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp, matcher)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -99,9 +108,6 @@ def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, lis
     return replace(state, filter=fused), corrections
 
 
-_NOTHING = Recording("live")
-
-
 def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
     """Return the rows that a step has settled, oldest first; after it has ended (None), all that are left."""
     oldest = np.inf if after is None else after.filter.history[0].key[0]
@@ -117,25 +123,20 @@ def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[Localiz
     """Turn new wheel records into steps of their counter, each seen with the records before it."""
     known = state.wheels[-1].stamp if state.wheels else -np.inf
     window = (*state.wheels, *(record for record in records if record.stamp > known))
-    events: list[Event] = []
+    found = wheel_odometry(window, state.robot, state.config.wheels).measurements
+    new = tuple(step for step in found if step.stamp > known and step.stamp_reference >= state.start)
+    events = counter_events(new, state.carried_to)
     carried_to = state.carried_to
-    for measurement in wheel_odometry(window, state.robot, state.config.wheels).measurements:
-        if measurement.stamp > known and measurement.stamp_reference >= state.start:
-            if measurement.stamp_reference != carried_to:
-                events.append(Anchor(measurement.stamp_reference, measurement.source))
-            events.append(measurement)
-            carried_to = -np.inf if measurement.reading_covariance is None else measurement.stamp
-    return replace(state, wheels=window[-_REMEMBERED:], carried_to=carried_to), events
+    if new:
+        carried_to = -np.inf if new[-1].reading_covariance is None else new[-1].stamp
+    steps = (*state.steps, *new)[-_STEPS:]
+    return replace(state, wheels=window[-_REMEMBERED:], steps=steps, carried_to=carried_to), events
 
 
 def _lidar(state: LocalizerState, scan: LaserScan) -> tuple[LocalizerState, list[Event]]:
-    """Match a scan; a first one is only remembered, one from before the start is not even that."""
-    if scan.stamp < state.start:
+    """Match a scan, guided by the wheels where they are fused; one from before the start is passed over."""
+    if not scan.stamp > max(state.lidar.stamp, np.nextafter(state.start, -np.inf)):
         return state, []
-    mount, config = sensor_mount(_NOTHING, state.robot, "lidar"), state.config.range_flow
-    if state.lidar is None:
-        return replace(state, lidar=range_flow.init(scan, mount, config)), []
-    lidar, match = range_flow.step(state.lidar, scan, mount, config)
-    measured: RelativePoseMeasurement | None = match.measurement
-    events: list[Event] = [] if measured is None else [Anchor(measured.stamp_reference, measured.source), measured]
-    return replace(state, lidar=lidar), events
+    guide = wheel_guide(state.steps, state.lidar.stamp, scan.stamp) if np.isfinite(state.lidar.stamp) else None
+    odometry, match = lidar.step(state.lidar, scan, guide)
+    return replace(state, lidar=odometry), match_events(match)
