@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,10 @@ import numpy as np
 import longreach
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
+from longreach.control.hardware import Command
+from longreach.errors import ConfigError
 from longreach.estimation.spatial import estimate_in_space
 from longreach.io.config import load_description
 from longreach.io.robots import load_robot
@@ -18,6 +23,11 @@ from longreach.planning.planner import plan
 from longreach.planning.reference import dual_trajectory
 from longreach.robot.manipulability import manipulability
 from longreach.sim.kinematic import make_recording
+from longreach.sim.kinematic_config import KinematicConfig
+from longreach.sim.kinematic_robot import KinematicRobot
+from longreach.sim.monte_carlo import drive_many
+from longreach.sim.physics import Simulation
+from longreach.sim.simulated import Simulated
 from longreach.spatial_measurement import SpatialRecording, TwistReading
 from longreach.spatial_settings import SensorSettings, SpatialSettings
 
@@ -86,10 +96,41 @@ def _space() -> None:
     estimate_in_space(SpatialRecording("none", tuple(readings), mounts={"": np.eye(4)}), settings)
 
 
+def _control() -> None:
+    thing = load_robot("thing")
+    robot = KinematicRobot(thing)
+    gate = safety.init(safety_config.limits_of(robot.promises), 0.0, thing.home[thing.arm])
+    base = base_velocity.init(base_velocity.BaseVelocityConfig(), 0.0)
+    two = ConfigurationTrajectory(np.array([0.0, 1.0]), np.stack([thing.home, thing.home]))
+    for mode in ("velocity", "position", "velocity"):
+        robot.advance(0.02)
+        (q, v, _), now = interpolation.sample(two, robot.stamp), robot.stamp
+        base, twist = base_velocity.step(base, np.zeros(3), now)
+        arm = q[thing.arm] if mode == "position" else v[thing.arm]
+        gate, sent = safety.step(gate, Command(now, arm, mode, twist), robot.read(), safety_checks.Health((), now), now)
+        robot.write(sent)
+
+
+def _sim() -> None:
+    thing, still = load_robot("thing"), np.zeros((1, 1, 3))
+    drive_many(thing, still)
+    robots: list[Simulated] = [
+        KinematicRobot(thing, config=KinematicConfig(present=("wheels", "imu", "joints", "lidar")))
+    ]
+    with suppress(ConfigError):  # MuJoCo need not be installed
+        robots.append(Simulation(thing))
+    for robot in robots:
+        robot.write(Command(0.0, np.zeros(6), base=np.zeros(3)))
+        robot.advance(0.06)
+        robot.read()
+
+
 ROOMS: Mapping[str, Callable[[], None]] = {
     "estimation": _estimation,
     "estimation in space": _space,
     "kinematics": _kinematics,
     "task priority": _task_priority,
     "sqp": _sqp,
+    "control": _control,
+    "sim": _sim,
 }
