@@ -1,8 +1,8 @@
 """The convex subproblem (4.22) of one iteration: quadratic cost, linear constraints, a box around the last q.
 
 The equations are eliminated first: d = d₀ + Z z, z being the few directions that they leave free. What is left goes to
-daqp where it is one waypoint's (here), and to piqp where it couples many (`sequence`). Where the rows contradict each
-other, `elastic` lets all of them but the box give way, at the price of the merit function's penalties.
+daqp where it is one waypoint's (here), and to a solver of ours where it couples many (`sequence`). Where the rows
+contradict each other, `elastic` lets all of them but the box give way, at the price of the merit function's penalties.
 """
 
 from dataclasses import dataclass, replace
