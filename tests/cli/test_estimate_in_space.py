@@ -83,7 +83,7 @@ def test_what_is_wrong_is_one_sentence(run, bag, parameters, tmp_path, more, sen
 def test_options_of_a_parameter_file_need_one(run, bag, tmp_path):
     answer = run("estimate", bag, "--robot", "thing", "--filter", "ukf", "--out", tmp_path / "out")
     assert answer.code == 2
-    assert "go with a parameter file of robot_localization as --config" in answer.sentence
+    assert "need parameters of robot_localization as --config" in answer.sentence
 
 
 def test_without_either_a_robot_is_asked_for(run, bag, tmp_path):
