@@ -35,14 +35,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "dual-trajectory": Experiment(
         dual_trajectory.DualTrajectoryConfig,
-        ("estimation", "kinematics", "task priority"),
+        ("estimation", "kinematics", "task priority", "control", "sim"),
         dual_trajectory.run_dual_trajectory,
         _named(dual_trajectory.MAIN, dual_trajectory.LOOPS),
         dual_trajectory.verdict,
     ),
     "manipulability": Experiment(
         manipulability.ManipulabilityConfig,
-        ("estimation", "kinematics", "task priority", "sqp"),
+        ("estimation", "kinematics", "task priority", "sqp", "control", "sim"),
         manipulability.run_manipulability,
         _named(manipulability.MAIN, manipulability.PLANS),
         manipulability.verdict,
