@@ -49,18 +49,18 @@ class Film:
             self.frames.append(_indexed(picture(simulated, trails, self.width, self.height)))
             self.due = max(self.due + 1.0 / self.fps, simulated.stamp + 0.5 / self.fps)
 
-    def write(self, path: Path) -> None:
+    def write(self, path: str | Path) -> None:
         """Write the film; see `write_video`."""
-        _write(path, self.frames, self.fps)
+        _write(Path(path), self.frames, self.fps)
 
 
-def write_video(path: Path, frames: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float = 10.0) -> None:
+def write_video(path: str | Path, frames: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float = 10.0) -> None:
     """Write pictures as a film that plays at their rate [Hz], over and over; the suffix says which kind.
 
     Raises:
         ConfigError: another suffix than .gif, .webp or .png, no pictures, or it cannot be written.
     """
-    _write(path, [_indexed(frame) for frame in frames], fps)
+    _write(Path(path), [_indexed(frame) for frame in frames], fps)
 
 
 def _indexed(frame: np.ndarray) -> Image.Image:
