@@ -181,6 +181,15 @@ def test_differential_and_relative_poses_ignore_where_the_sensor_thinks_it_is():
     np.testing.assert_allclose(e.poses[-1][:3, 3], poses[-2][:3, 3], atol=0.05)
 
 
+def test_a_differential_pose_and_a_twist_of_one_message_are_told_apart():
+    stamps, u, poses = drive(30)
+    readings = [
+        r for t, T in zip(stamps, poses, strict=True) for r in (pose(t, T, source="odom0"), twist(t, u, source="odom0"))
+    ]
+    e = run(readings, sensor("odom", (True,) * 12 + (False,) * 3, differential=True))
+    assert e.used == {"odom0_pose": (29, 0, 0), "odom0_twist": (30, 0, 0)}
+
+
 def accelerations(stamps, f, frame="", attitude=None):
     return [AccelerationReading(t, np.array(f), 1e-4 * np.eye(3), frame, "imu0", attitude) for t in stamps]
 

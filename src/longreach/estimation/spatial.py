@@ -6,7 +6,7 @@ System", whose states, masks and settings these are. Ours differs where docs/rob
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -108,12 +108,12 @@ def rows_of(readings: Sequence[Reading], recording: SpatialRecording, settings: 
     found = []
     for sensor in settings.sensors:
         own = [reading for reading in readings if reading.source == sensor.name]
-        for kind, (_, prepare) in _PARTS.items():
+        for kind, (name, prepare) in _PARTS.items():
             part: Any = [reading for reading in own if isinstance(reading, kind)]
             if part:
                 rows = prepare(sensor, part, recording, settings)
                 if rows.k and len(rows.stamps):
-                    found.append(rows)
+                    found.append(replace(rows, source=f"{sensor.name}_{name}"))
     return found
 
 
@@ -163,11 +163,10 @@ def _by_source(
     used, consistency = {}, {}
     for i, r in enumerate(rows):
         own = whose == i
-        name = f"{r.source}_{ {0: 'pose', 6: 'twist', 12: 'acceleration'}[r.block] }"
         counts = [int(np.count_nonzero(status[own] == kind)) for kind in (kernels.USED, kernels.GATED, kernels.REFUSED)]
-        used[name] = (counts[0], counts[1], counts[2])
+        used[r.source] = (counts[0], counts[1], counts[2])
         told = own & np.isfinite(nis)
-        consistency[name] = (stamps[told], nis[told], r.k)
+        consistency[r.source] = (stamps[told], nis[told], r.k)
     return used, consistency
 
 

@@ -96,7 +96,7 @@ def _banded(stamps: np.ndarray, values: np.ndarray, sigma: np.ndarray, labels: S
         style.panel(axes, "time [s]" if axes is panels[-1] else "", label)
         axes.margins(x=0.01)
         reach = np.nanmax(np.abs(middle - np.nanmedian(middle))) if np.isfinite(middle).any() else 1.0
-        if np.nanmax(band) > 4 * max(reach, 1e-9):  # a band that grew large would flatten what it is about
+        if reach > 1e-6 and np.nanmax(band) > 4 * reach:  # a band that grew large would flatten what it is about
             axes.set_ylim(np.nanmedian(middle) - 4 * reach, np.nanmedian(middle) + 4 * reach)
     style.legend_above(panels[0])
     fig.align_ylabels()

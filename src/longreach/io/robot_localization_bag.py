@@ -76,11 +76,11 @@ def parse_transform(text: str) -> tuple[str, str, Float[np.ndarray, "3"], Float[
 
 
 def _topics(bag: BagFile, settings: SpatialSettings) -> tuple[dict[str, Topic], list[str]]:
-    """Return the topic of each sensor that has one, and `command` where there is a control input."""
+    """Return the topic of each sensor that has one, and `commands` where there is a control input."""
     wanted = {s.name: (s.topic, (_TYPES[s.kind],)) for s in settings.sensors if any(s.mask)}
     if settings.control is not None and any(settings.control.mask):
         kind = "geometry_msgs/msg/TwistStamped" if settings.control.stamped else "geometry_msgs/msg/Twist"
-        wanted["command"] = ("cmd_vel", (kind,))
+        wanted["commands"] = ("cmd_vel", (kind,))
     chosen: dict[str, Topic] = {}
     remarks = []
     for name, (topic, types) in wanted.items():
@@ -94,7 +94,7 @@ def _topics(bag: BagFile, settings: SpatialSettings) -> tuple[dict[str, Topic], 
             )
         else:
             remarks.append(f"The recording has no topic {topic}, so it is estimated without {name}.")
-    if not chosen.keys() - {"command"}:
+    if not chosen.keys() - {"commands"}:
         topics = ", ".join(topic for topic, _ in wanted.values())
         raise RecordingError(f"{bag.path} has none of the topics to fuse ({topics}); it has {listed(bag.topics)}.")
     return chosen, remarks
@@ -123,7 +123,7 @@ def _read_all(
     taking: dict[tuple[str, str], list[Callable[[Any, int], None]]] = {}
 
     def take(name: str, message: Any, receive_ns: int) -> None:
-        if name == "command":
+        if name == "commands":
             found = _command(message, receive_ns)
             commands.extend(found)
         else:
