@@ -17,7 +17,7 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
-from longreach.app.guides import counter_events, lidar_events, wheel_guides
+from longreach.app.guides import counter_events, guided_odometry, lidar_events, wheel_guides
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
@@ -162,8 +162,9 @@ def _matches(
     if not wheels:
         return alone, alone
     guides = wheel_guides(wheels, [scan.stamp for scan in some])
-    told = lambda i: tell("LIDAR odometry", 0.5 + 0.5 * i / len(some))  # noqa: E731
-    return alone, lidar_odometry(some, mount, config.lidar, told, guides)
+    return alone, guided_odometry(
+        some, mount, config.lidar, guides, lambda i: tell("LIDAR odometry", 0.5 + 0.5 * i / len(some))
+    )
 
 
 def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:

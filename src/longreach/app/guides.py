@@ -4,17 +4,22 @@ Both are told from what came before the scan alone, so that a run and its replay
 """
 
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.estimation.fusion import Anchor, Event
 from longreach.geometry import se2
-from longreach.measurement import RelativePoseMeasurement
+from longreach.measurement import LaserScan, RelativePoseMeasurement
+from longreach.odometry.lidar import LidarConfig, LidarState, init, step
 from longreach.odometry.scan_match import ScanMatch
 
+_FRESH = 0.2  # weight of the last scan in `Trust`
+_SMALL = 0.001  # [m] that does not matter
+_ARM = np.array([1.0, 1.0, 0.5])  # [1, 1, m]: a turn moves what the laser sees as if by this
 _AHEAD = 0.3  # [s] that the last step of the wheels is carried on at most; a stop takes about that
 
 
@@ -49,6 +54,46 @@ def wheel_guides(
 ) -> list[Float[np.ndarray, "3"] | None]:
     """Return for each scan what `wheel_guide` tells of the way since the scan before; None for the first."""
     return [None, *(wheel_guide(steps, before, now) for before, now in pairwise(stamps))][: len(stamps)]
+
+
+class Trust(NamedTuple):
+    """How well the last scans were where the wheels, and where the motion before, expected them: mean squares [m²]."""
+
+    wheels: float = 0.0
+    before: float = 0.0
+
+
+def guided_step(
+    state: LidarState, trust: Trust, scan: LaserScan, guide: Float[np.ndarray, "3"] | None, last: ScanMatch | None
+) -> tuple[LidarState, Trust, ScanMatch]:
+    """Match a scan from where the wheels expect it, unless they slip: unless going on as before has told better.
+
+    last: the match before this one, whose motion is what going on means.
+    """
+    trusted = guide is not None and trust.wheels <= trust.before + _SMALL**2
+    on = None if last is None else last.motion
+    state, match = step(state, scan, guide if trusted else None)
+    if guide is not None and on is not None and match.motion is not None:
+        far = [float(np.sum((_ARM * se2.difference(expected, match.motion)) ** 2)) for expected in (guide, on)]
+        trust = Trust(trust.wheels + _FRESH * (far[0] - trust.wheels), trust.before + _FRESH * (far[1] - trust.before))
+    return state, trust, match
+
+
+def guided_odometry(
+    scans: Sequence[LaserScan],
+    T_base_laser: Float[np.ndarray, "4 4"],
+    config: LidarConfig,
+    guides: Sequence[Float[np.ndarray, "3"] | None],
+    show_progress: Callable[[int], None],
+) -> tuple[ScanMatch, ...]:
+    """Match all scans with `guided_step`; the first one has no entry."""
+    state, trust, matches, last = init(config, T_base_laser), Trust(), [], None
+    for i, (scan, guide) in enumerate(zip(scans, guides, strict=True)):
+        state, trust, last = guided_step(state, trust, scan, guide, last)
+        matches.append(last)
+        if i % 200 == 0:
+            show_progress(i)
+    return tuple(matches[1:])
 
 
 def match_events(match: ScanMatch) -> list[Event]:
