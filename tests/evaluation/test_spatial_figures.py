@@ -15,7 +15,7 @@ def run(kind, n=200):
     if kind == "uncertain":
         states[:, 2], covariance = 0.01 * np.sin(stamps), 100 * covariance
     if kind == "one row":
-        stamps, states, covariance = stamps[:2], states[:2], covariance[:2]
+        stamps, states, covariance = stamps[:1], states[:1], covariance[:1]
     return stamps, states, covariance
 
 

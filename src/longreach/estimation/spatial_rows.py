@@ -212,7 +212,9 @@ def _covariances(readings: Sequence[Reading], mask: Sequence[bool]) -> np.ndarra
 
 def _in_base(mask: Sequence[bool], Q: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which values of the base have a part in masked ones, unit rows, and C turned into the base by Q."""
-    parts = [np.linalg.norm(Q * np.array(mask[i : i + 3], dtype=float), axis=2).max(axis=0) for i in (0, 3)]
+    parts = [
+        np.linalg.norm(Q * np.array(mask[i : i + 3], dtype=float), axis=2).max(axis=0, initial=0.0) for i in (0, 3)
+    ]
     return np.concatenate(parts) >= _SEEN, np.broadcast_to(np.eye(6), C.shape), _rotated(C, Q)
 
 

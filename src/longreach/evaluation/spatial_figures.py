@@ -87,7 +87,9 @@ def _banded(stamps: np.ndarray, values: np.ndarray, sigma: np.ndarray, labels: S
     fig = style.figure(1.2 + 2.0 * len(labels), title)
     panels = np.atleast_1d(fig.subplots(len(labels), sharex=True))
     for i, (axes, label) in enumerate(zip(panels, labels, strict=True)):
-        t, middle, band, before = style.thin(stamps - stamps[0], values[:, i], 3 * sigma[:, i], np.gradient(stamps))
+        t, middle, band, before = style.thin(
+            stamps - stamps[0], values[:, i], 3 * sigma[:, i], np.diff(stamps, prepend=stamps[:1])
+        )
         middle = np.where(before > _GAP, np.nan, middle)
         axes.fill_between(
             t, middle - band, middle + band, color=style.SKY, alpha=0.3, linewidth=0, label="±3σ as stated"
