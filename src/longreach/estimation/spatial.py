@@ -100,6 +100,10 @@ def _believed(readings: Sequence[Reading], settings: SpatialSettings) -> tuple[l
     if ahead.any():
         remarks.append(f"{ahead.sum()} readings have stamps ahead of what came in after them and were left out.")
     kept = np.flatnonzero(~late & ~ahead)
+    behind = np.maximum.accumulate(stamps[kept]) - stamps[kept]
+    if np.any(behind > 0):
+        count, most = np.count_nonzero(behind), behind.max()
+        remarks.append(f"{count} readings came in out of order, by up to {most:.3f} s, and were put where they belong.")
     return [readings[i] for i in kept[np.argsort(stamps[kept], kind="stable")].tolist()], remarks
 
 

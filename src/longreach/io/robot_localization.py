@@ -192,5 +192,3 @@ def _remarks(values: Mapping[str, Any], unknown: list[str]) -> Iterator[str]:
             yield f"{name} is not fused: {name}_config has no entry that is true."
         if values.get(f"{name}_differential") and values.get(f"{name}_relative"):
             yield f"{name} is both differential and relative; it is taken differentially."
-    if not values.get("smooth_lagged_data", False):
-        yield "smooth_lagged_data is not set; messages up to 1 s late are put where they belong all the same."
