@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 
 import longreach
 from longreach.app.configuration import EstimateConfig
@@ -37,18 +38,28 @@ Progress = Callable[[str, float], None]
 def warm_up(progress: Progress | None = None, *rooms: str) -> Path:
     """Run each kernel of the rooms named (all: of every one) on something small, unless that was done before.
 
+    Rooms are compiled side by side, in processes of their own: that is most of what a first run waits for.
     Returns the folder of compiled kernels.
     """
     tell = progress or (lambda stage, fraction: None)
-    for room in rooms or tuple(ROOMS):
-        mark = cache_root() / f"warm-{room}-{_version()}"
-        if not mark.is_file():
-            stage = f"compiling {room} (first run only)"
-            tell(stage, 0.0)
-            ROOMS[room]()
-            tell(stage, 1.0)
-            mark.touch()
+    version = _version()
+    marks = {room: cache_root() / f"warm-{room}-{version}" for room in rooms or tuple(ROOMS)}
+    cold = [room for room, mark in marks.items() if not mark.is_file()]
+    if not cold:
+        return cache_root()
+    stage = f"compiling {', '.join(cold)} (first run only)"
+    tell(stage, 0.0)
+    processes = 1 if len(cold) == 1 else -1
+    jobs = Parallel(n_jobs=processes, return_as="generator_unordered")(delayed(_compile)(room) for room in cold)
+    for done, room in enumerate(jobs, 1):
+        marks[str(room)].touch()
+        tell(stage, done / len(cold))
     return cache_root()
+
+
+def _compile(room: str) -> str:
+    ROOMS[room]()
+    return room
 
 
 def _version() -> str:
