@@ -29,7 +29,7 @@ def test_carrying_an_anchor_moves_its_error_by_the_derivative(rng):
     mean, P, z = rng.normal(size=19), spd(rng, 19), np.array([0.5, -0.3, 1.2])
     mean[10:13] = 0.0
     anchor = mean[16:19]
-    moved, covariance = ekf.carry(EXACT_SCALE, mean, P, 1, z, STEP)
+    moved, covariance, _ = ekf.carry(EXACT_SCALE, mean, P, 1, z, STEP)
     np.testing.assert_allclose(moved, [*mean[:16], *se2.compose(anchor, z)], atol=1e-15)
 
     def error_about_the_new(error):
@@ -46,16 +46,16 @@ def test_carrying_an_anchor_moves_its_error_by_the_derivative(rng):
 def test_the_pose_shares_the_error_of_a_step_that_leads_it(rng):
     mean, P, z = rng.normal(size=19), spd(rng, 19), np.array([0.5, -0.3, 1.2])
     P[10:13] = P[:, 10:13] = mean[10:13] = 0.0
-    _, alone = ekf.carry(ALONE, mean, P, 1, z, STEP)
-    _, shared = ekf.carry(Counter(np.array([1.0, 1.0, 0.0])), mean, P, 1, z, STEP)
+    _, alone, _ = ekf.carry(ALONE, mean, P, 1, z, STEP)
+    _, shared, _ = ekf.carry(Counter(np.array([1.0, 1.0, 0.0])), mean, P, 1, z, STEP)
     between = se2.adjoint(se2.between(mean[:3], se2.compose(mean[16:19], z)))  # both as one moved by the world
     S = between @ np.diag([1.0, 1.0, 0.0])
     expected = np.zeros((19, 19))
     expected[:3, :3], expected[:3, 16:], expected[16:, :3] = S @ STEP @ S.T, S @ STEP, STEP @ S.T
     np.testing.assert_allclose(shared - alone, expected, atol=1e-12)
     D = np.hstack([np.eye(3), np.zeros((3, 13)), -between])
-    _, all_shared = ekf.carry(LED, mean, P, 1, z, STEP)
-    _, exact = ekf.carry(LED, mean, P, 1, z, np.zeros((3, 3)))
+    _, all_shared, _ = ekf.carry(LED, mean, P, 1, z, STEP)
+    _, exact, _ = ekf.carry(LED, mean, P, 1, z, np.zeros((3, 3)))
     np.testing.assert_allclose(D @ all_shared @ D.T, D @ exact @ D.T, atol=1e-11)  # their difference is left alone
 
 
@@ -81,8 +81,8 @@ def test_a_clone_is_the_pose_and_carrying_it_back_changes_nothing(rng):
     np.testing.assert_array_equal(mean[13:], mean[:3])
     np.testing.assert_array_equal(P[13:, :], P[:3, :])
     z = np.array([0.5, -0.3, 1.2])
-    there = ekf.carry(LED, mean, P, 0, z, np.zeros((3, 3)))
-    back, covariance = ekf.carry(LED, *there, 0, se2.inverse(z), np.zeros((3, 3)))
+    *there, _ = ekf.carry(LED, mean, P, 0, z, np.zeros((3, 3)))
+    back, covariance, _ = ekf.carry(LED, *there, 0, se2.inverse(z), np.zeros((3, 3)))
     np.testing.assert_allclose(back, mean, atol=1e-14)
     np.testing.assert_allclose(covariance, P, atol=1e-12)
 

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from longreach.estimation.fusion import Anchor, Event
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
-from longreach.odometry.lidar import LidarConfig, LidarState, init, step
+from longreach.odometry import lidar
+from longreach.odometry.lidar import LidarConfig, LidarState
 from longreach.odometry.scan_match import ScanMatch
 
 _FRESH = 0.2  # weight of the last scan in `Trust`
@@ -36,10 +37,9 @@ def wheel_guide(steps: Sequence[RelativePoseMeasurement], before: float, now: fl
         return None
     if any(a.stamp != b.stamp_reference for a, b in pairwise(known)):
         return None
-    moved = _part(known[0], (known[0].stamp - before) / (known[0].stamp - known[0].stamp_reference))
     if len(known) == 1:
-        moved = _part(known[0], (now - before) / (known[0].stamp - known[0].stamp_reference))
-        return moved
+        return _part(known[0], (now - before) / (known[0].stamp - known[0].stamp_reference))
+    moved = _part(known[0], (known[0].stamp - before) / (known[0].stamp - known[0].stamp_reference))
     for step in known[1:]:
         moved = se2.compose(moved, step.pose)
     return se2.compose(moved, _part(known[-1], (now - known[-1].stamp) / (known[-1].stamp - known[-1].stamp_reference)))
@@ -72,7 +72,7 @@ def guided_step(
     """
     trusted = guide is not None and trust.wheels <= trust.before + _SMALL**2
     on = None if last is None else last.motion
-    state, match = step(state, scan, guide if trusted else None)
+    state, match = lidar.step(state, scan, guide if trusted else None)
     if guide is not None and on is not None and match.motion is not None:
         far = [float(np.sum((_ARM * se2.difference(expected, match.motion)) ** 2)) for expected in (guide, on)]
         trust = Trust(trust.wheels + _FRESH * (far[0] - trust.wheels), trust.before + _FRESH * (far[1] - trust.before))
@@ -87,7 +87,7 @@ def guided_odometry(
     show_progress: Callable[[int], None],
 ) -> tuple[ScanMatch, ...]:
     """Match all scans with `guided_step`; the first one has no entry."""
-    state, trust, matches, last = init(config, T_base_laser), Trust(), [], None
+    state, trust, matches, last = lidar.init(config, T_base_laser), Trust(), [], None
     for i, (scan, guide) in enumerate(zip(scans, guides, strict=True)):
         state, trust, last = guided_step(state, trust, scan, guide, last)
         matches.append(last)

@@ -8,7 +8,7 @@ from longreach.kernels import kernel
 
 @kernel
 def score(S, r, parts, most, slope, information):
-    """Fill slope (m,) and information (m,) of log N(r; 0, S) over the logarithms of factors on the parts (m, k, k) of S.
+    """Fill slope (m,) and information (m,) of log N(r; 0, S) over logarithms of factors on the parts (m, k, k) of S.
 
     An innovation with a NIS above `most` counts as one at it. Returns whether S is positive definite.
     Source: the score and Fisher information of a normal distribution's covariance, Magnus & Neudecker 1988, 15.3.

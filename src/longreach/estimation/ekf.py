@@ -80,9 +80,42 @@ def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarra
 
 def moved_anchor(mean: Mean, P: Covariance, anchor: int, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Put the last anchor, of that number, in place of another; there is one fewer then."""
+    rows = _moved_rows(anchor, number)
+    return _read_only(mean[rows], P[np.ix_(rows, rows)])
+
+
+def _moved_rows(anchor: int, number: int) -> np.ndarray:
     rows = np.arange(BODY + 3 * anchor)
     rows[BODY + 3 * number : BODY + 3 * number + 3] = BODY + 3 * anchor + np.arange(3)
-    return _read_only(mean[rows], P[np.ix_(rows, rows)])
+    return rows
+
+
+def moved_anchor_map(anchor: int, number: int) -> Float[np.ndarray, "m n"]:
+    """Return how errors before `moved_anchor` are errors after."""
+    return np.eye(BODY + 3 * anchor + 3)[_moved_rows(anchor, number)]
+
+
+def clone_map(n: int, anchor: int) -> Float[np.ndarray, "m n"]:
+    """Return how n errors before `clone` are errors after."""
+    i = BODY + 3 * anchor
+    rows = np.arange(max(n, i + 3))
+    rows[i : i + 3] = np.arange(3)
+    return np.eye(n)[rows]
+
+
+def correction_map(
+    mean: Mean,
+    P: Covariance,
+    r: Float[np.ndarray, " k"],
+    H: Float[np.ndarray, "k n"],
+    R: Float[np.ndarray, "k k"],
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "k n"], Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Return how errors before `correct` are errors after, H, S⁻¹ r and S⁻¹."""
+    n = len(mean)
+    information = np.linalg.inv(H @ P @ H.T + R)
+    K, G = P @ H.T @ information, np.empty((n, n))
+    _kernels.retract(mean, K @ r, G)
+    return G @ (np.eye(n) - K @ H), H, information @ r, 0.5 * (information + information.T)
 
 
 def carry(
@@ -92,14 +125,15 @@ def carry(
     anchor: int,
     pose: Float[np.ndarray, "3"],
     Q: Float[np.ndarray, "3 3"],
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q).
 
     The step ξ = log(pose) is taken as (1 + s) ξ with the counter's scale errors s, axis by axis. In the axes that the
     counter leads, the present pose shares the step's error, having been led by it. An error that both share leaves
-    their difference alone: what the motion model expects is not held against the step.
+    their difference alone: what the motion model expects is not held against the step. Returns mean, covariance, and
+    how errors before are errors after (n, n).
     """
-    moved, covariance, _ = _anchor_kernels.carry(
+    moved, covariance, T = _anchor_kernels.carry(
         mean, P, anchor, pose, Q, counter.led, counter.scale_variance, counter.reach
     )
-    return _read_only(moved, covariance)
+    return *_read_only(moved, covariance), T

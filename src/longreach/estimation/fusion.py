@@ -2,7 +2,7 @@
 
 State is a chain of snapshots, one after every event of the last `history` seconds. A late event goes back to the
 newest snapshot before it and everything after is taken again, so that the result is that of sorted input.
-What one event does: `snapshot.take`.
+What one event does: `update.take`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,7 +16,8 @@ from longreach.errors import EstimationError
 from longreach.estimation.ekf import BODY, SCALE
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.gaussian import Belief
-from longreach.estimation.snapshot import Anchor, Correction, Event, Placed, Snapshot, Tally, take
+from longreach.estimation.snapshot import Anchor, Correction, Event, Placed, Snapshot, Tally
+from longreach.estimation.update import take
 from longreach.measurement import RelativePoseMeasurement
 
 __all__ = ["Anchor", "Correction", "Event", "FusionState", "Placed", "Snapshot", "Tally", "in_order", "init", "step"]

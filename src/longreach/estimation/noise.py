@@ -3,8 +3,11 @@
 A covariance R that is stated is taken as D R D with D² = diag of two factors, one for translations and one for turns.
 Their logarithms follow the likelihood of the innovations, r ~ N(0, H P Hᵀ + D R D), by steps of the score over the
 information gathered (stochastic approximation: Robbins & Monro 1951; Titterington 1984), which is forgotten over
-`noise_memory` measurements; so a source that the prediction cannot judge, H P Hᵀ being larger, moves its factors little.
-A counter has two factors more, for the steps that add up: they are judged by what others say of the pose meanwhile.
+`noise_memory` measurements; so a source that the prediction cannot judge, H P Hᵀ being larger, moves its factors
+little. A counter has two factors more, for the steps that add up: others judge them by what they say of the pose.
+
+Innovations show what changes from one to the next. What stays for a while, as a scanner's bias does on a surface, they
+do not; so only a counter, whose noise is described for all robots alike, is ever taken for better than it says.
 """
 
 import math
@@ -56,7 +59,7 @@ def learned(
     memory: float,
     least: Sequence[float],
 ) -> tuple[Noise, ...]:
-    """Return the factors after an innovation r ~ N(0, S); parts: two of S for each of the noises, least: their bounds."""
+    """Return the factors after an innovation r ~ N(0, S); parts: two of S for each noise, least: their bounds."""
     slope, information = np.empty(len(parts)), np.empty(len(parts))
     if not _noise_kernels.score(S, r, parts, _OUTLIER * len(r), slope, information):
         return noises

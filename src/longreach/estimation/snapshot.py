@@ -1,37 +1,19 @@
-"""One event taken: predict to its stamp (3.28), observe, gate, correct (3.29). `fusion` puts events in order.
-
-Relative poses of a source refer to its anchor, a past pose in the state. Two kinds of source move their anchors
-differently:
-* a counter (wheels), whose readings have an error of their own: its anchor is carried along from reading to reading;
-* a keyframe (LIDAR): its anchor stays while matches refer to it. What all of them have in common, the noise of the
-  keyframe's own scan, is an error of the anchor: it stands for the keyframe's pose as its scan shows it. A scan that
-  becomes a keyframe is an anchor from the match on that tells where it is, so that its noise, which that match has in
-  common with those to come, is counted once.
-"""
+"""What the filter holds after an event: mean, covariance, anchors, and what it has learned of its sources."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
-from longreach.estimation import ekf
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import AS_STATED, LEAST, Noise, learned, parts_of, scaled
-from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
-from longreach.geometry import se2
-from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
+from longreach.estimation.noise import Noise
+from longreach.estimation.observation import Measurement
+from longreach.measurement import RelativePoseMeasurement
 
 _NOTHING = np.zeros(0)
 _NOTHING.flags.writeable = False
-_OWN = 0.05  # at least this part of a match's variance is its own
-# Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
-# keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
-_SAME = 0.7
-_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
-_ROWS = np.array([0, 0, 1])  # translations and turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +74,24 @@ class Doubt(NamedTuple):
     xi: np.ndarray
 
 
+class Link(NamedTuple):
+    """How errors before are errors after, M (m, n), and what was learned in between: H (k, n), S⁻¹ r (k,), S⁻¹ (k, k).
+
+    With them a smoother goes back over what the filter did. H is None where nothing was measured.
+    """
+
+    M: np.ndarray
+    H: np.ndarray | None = None
+    weighed: np.ndarray | None = None
+    information: np.ndarray | None = None
+
+
 class Snapshot(NamedTuple):
     """The filter after one event (None: the start): mean (13 + 3m,), P, and by source anchors, tallies, noise.
 
     steps: by counter, what its steps have added (2, 3, 3) to the covariance of the pose since another source told it,
     through translations and through turns. doubts: by source, what it has said beyond the gate without a break.
+    links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
     key: tuple[float, int, str]
@@ -108,224 +103,4 @@ class Snapshot(NamedTuple):
     noise: Mapping[str, Noise] = {}
     steps: Mapping[str, np.ndarray] = {}
     doubts: Mapping[str, Doubt] = {}
-
-
-def take(
-    config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event
-) -> tuple[Snapshot, Correction]:
-    """Predict to the event's stamp, then place the anchor or correct by the measurement."""
-    now, dt = before._replace(key=key, event=event), float(key[0] - before.key[0])
-    if dt > 0.0:
-        mean, P = ekf.predict(config.motion, now.mean, now.P, dt)  # (3.28)
-        now = now._replace(mean=mean, P=P)
-    if isinstance(event, Anchor):
-        return _anchored(config, now, event)
-    if isinstance(event, RelativePoseMeasurement):
-        now, event = _carried(config, now, event) if event.reading_covariance is not None else _apart(now, event)
-    return _corrected(config, now, event)
-
-
-def _anchored(config: FilterConfig, now: Snapshot, event: Anchor) -> tuple[Snapshot, Correction]:
-    """Place an anchor at the pose; with a match, at the pose as the scan shows it, which the match tells."""
-    old, match = now.anchors.get(event.source), event.match
-    spare, own = (len(now.mean) - ekf.BODY) // 3, None
-    number = spare if old is None else old.number
-    correction = Correction(event.stamp, event.source, "used")
-    if match is None:
-        mean, P = ekf.clone(now.mean, now.P, number)
-    else:
-        now, match = _apart(now, match)
-        at, own = ekf.BODY + 3 * spare, match.covariance
-        known = bool(np.all(np.isfinite(own)))
-        noise = scaled(own, now.noise.get(event.source, AS_STATED).deviations) if known else np.zeros((3, 3))
-        mean, P = ekf.clone(now.mean, now.P, spare)
-        match = replace(match, covariance=(1.0 - _SAME) * own)
-        now, correction = _corrected(config, now._replace(mean=mean, P=_added(P, at, _SAME * noise)), match, at)
-        own, mean, P = own if known else None, now.mean, _added(now.P, at, (1.0 - _SAME) * noise)
-        if number != spare:
-            mean, P = ekf.moved_anchor(mean, P, spare, number)
-    anchors = {**now.anchors, event.source: Placed(number, event.stamp, own)}
-    return now._replace(mean=mean, P=P, anchors=anchors), correction
-
-
-def _apart(
-    now: Snapshot, match: RelativePoseMeasurement
-) -> tuple[Snapshot, RelativePoseMeasurement]:
-    """Make what all matches to an anchor have in common an error of the anchor; what is left is the match's own."""
-    placed = now.anchors.get(match.source)
-    if match.shared_covariance is None or placed is None or placed.stamp != match.stamp_reference:
-        return now, match
-    if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
-        return now, match
-    if placed.own is None:
-        A = se2.adjoint(match.pose)
-        placed = placed._replace(own=A @ match.shared_covariance @ A.T)
-        noise = now.noise.get(match.source, AS_STATED)
-        P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(placed.own, noise.deviations))
-        now = now._replace(P=P, anchors={**now.anchors, match.source: placed})
-    A = se2.adjoint(se2.inverse(match.pose))
-    return now, replace(match, covariance=_less(match.covariance, A @ placed.own @ A.T), shared_covariance=None)
-
-
-def _less(C: Float[np.ndarray, "3 3"], shared: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return C - shared, but in every direction at least the part `_OWN` of C."""
-    scale = np.sqrt(np.diag(C))
-    try:
-        L = scale[:, None] * np.linalg.cholesky(C / np.outer(scale, scale))
-    except np.linalg.LinAlgError:
-        return C
-    half = np.linalg.solve(L, shared)
-    w, V = np.linalg.eigh(np.linalg.solve(L, half.T))
-    M = L @ V
-    return (M * np.maximum(1.0 - w, _OWN)) @ M.T
-
-
-def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
-    """Add to the covariance of the three errors at i."""
-    P = P.copy()
-    P[i : i + 3, i : i + 3] += 0.5 * (Q + Q.T)
-    P.flags.writeable = False
-    return P
-
-
-def _carried(
-    config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement
-) -> tuple[Snapshot, RelativePoseMeasurement]:
-    """Take a step between two readings of a counter: the anchor goes along, and stands where the counter says we are.
-
-    So the error of a reading stays with that reading, whereas the error of the steps adds up in the anchor. Returns
-    what is left to measure: that we are at the anchor, as well as a reading tells. What is no such step stays as it is.
-    """
-    placed, R = now.anchors.get(step.source), step.reading_covariance
-    if R is None or placed is None or placed.stamp != step.stamp_reference or not np.all(np.isfinite(step.pose)):
-        return now, step
-    noise = now.noise.get(steps_of(step.source), AS_STATED)
-    Q = scaled(step.covariance, noise.deviations)
-    mean, P = ekf.carry(config.counter, now.mean, now.P, placed.number, step.pose, Q)
-    A, told = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
-    steps = {**now.steps, step.source: A @ now.steps.get(step.source, np.zeros((2, 3, 3))) @ A.T + told}
-    anchors = {**now.anchors, step.source: placed._replace(stamp=step.stamp)}
-    at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
-    return now._replace(mean=mean, P=P, anchors=anchors, steps=steps), at_anchor
-
-
-def steps_of(source: str) -> str:
-    """Return the name under which the noise of a counter's steps is kept; that of its readings has the source's."""
-    return f"{source}, steps"
-
-
-def _corrected(
-    config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
-) -> tuple[Snapshot, Correction]:
-    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one."""
-    stamp, source = measurement.stamp, measurement.source
-    tally, number = now.tallies.get(source, Tally()), None
-    said = Correction(stamp, source, "refused")
-
-    def refused(reason: str) -> tuple[Snapshot, Correction]:
-        tallies = {**now.tallies, source: tally._replace(refused=tally.refused + 1)}
-        return now._replace(tallies=tallies), said._replace(reason=reason)
-
-    if isinstance(measurement, RelativePoseMeasurement):
-        placed = now.anchors.get(source)
-        if placed is None or placed.stamp != measurement.stamp_reference:
-            return refused(f"relative to {measurement.stamp_reference} s, where {source} has no anchor")
-        number = placed.number
-    observation, fault = observe(now.mean, measurement, number, at)
-    if fault:
-        return refused(fault)
-    noise, blocks = now.noise.get(source, AS_STATED), blocks_of(measurement)
-    r, H, R = observation.innovation, observation.H, scaled(observation.R, noise.deviations[2 * blocks])
-    k = len(r)
-    gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
-    now = _blamed(config, now, measurement, Observation(r, H, R), gate, at)
-    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate)
-    if nis == np.inf:
-        return refused("its innovation has no positive definite covariance")
-    if config.noise_memory > 0.0 and at == 0:
-        now = _learned(config, now, measurement, Observation(r, H, R))
-    status, reason, tally = _judged(tally, nis, gate, scale)
-    tallies = {**now.tallies, source: tally}
-    return now._replace(mean=mean, P=P, tallies=tallies), Correction(stamp, source, status, reason, r, nis, k)
-
-
-def _blamed(
-    config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation, gate: float, at: int
-) -> Snapshot:
-    """Where an innovation is beyond the gate, say what may be wrong with what was believed, before the source is.
-
-    First the steps of counters: wheels slip, by ten times what their steps are usually wrong by. Where that does not
-    do, and a source says again and again that the pose is off by the same, it has been moved: then the source is right.
-    """
-    (r, H, R), source = observation, measurement.source
-    S = H @ now.P @ H.T + R
-    nis = float(r @ np.linalg.solve(S, r)) if np.all(np.isfinite(S)) else 0.0
-    doubts = {name: doubt for name, doubt in now.doubts.items() if name != source}
-    if not (nis > gate and isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)):
-        return now._replace(doubts=doubts) if source in now.doubts else now
-    for counter, added in now.steps.items():
-        M, Q = _moving(now, counter, source, at), np.sum(added, axis=0)
-        HM = H @ M
-        for s in _SLIPS:
-            if r @ np.linalg.solve(S + s * HM @ Q @ HM.T, r) <= gate:
-                return now._replace(P=_loosened(now.P, M, s * Q), doubts=doubts)
-    if source in now.steps:
-        return now
-    xi, before = np.linalg.lstsq(H[:, at : at + 3], r, rcond=None)[0], now.doubts.get(source)
-    same = before is not None and np.linalg.norm(xi - before.xi) < 0.5 * np.linalg.norm(xi)
-    times = before.times + 1 if before is not None and same else 1
-    if times <= config.gate_patience:
-        return now._replace(doubts={**doubts, source: Doubt(times, xi)})
-    P = now.P
-    for counter in now.steps or ("",):
-        P = _loosened(P, _moving(now, counter, source, at), np.outer(xi, xi))
-    return now._replace(P=P, doubts=doubts)
-
-
-def _moving(now: Snapshot, counter: str, source: str, at: int) -> np.ndarray:
-    """Return how an error of the pose (3,), which a counter has made, is in the whole state (n, 3).
-
-    Where the counter's own reading tells, the error is its anchor's alone.
-    """
-    M, eye = np.zeros((len(now.mean), 3)), np.eye(3)
-    if counter != source:
-        M[:3] = M[at : at + 3] = eye
-    if counter in now.anchors:
-        i = ekf.BODY + 3 * now.anchors[counter].number
-        M[i : i + 3] = se2.adjoint(se2.between(now.mean[i : i + 3], now.mean[:3]))
-    return M
-
-
-def _loosened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    P = P + M @ Q @ M.T
-    P = 0.5 * (P + P.T)
-    P.flags.writeable = False
-    return P
-
-
-def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Literal["used", "gated"], str, Tally]:
-    used, inflated, gated, refused, streak = tally
-    reason = f"NIS {nis:.1f} is above the gate {gate:.1f}"
-    if scale == 0.0:
-        return "gated", reason, Tally(used, inflated, gated + 1, refused, streak + 1)
-    if scale == 1.0:
-        return "used", "", Tally(used + 1, inflated, gated, refused)
-    reason = f"{reason}: taken with its covariance times {scale:.3g}"
-    return "used", reason, Tally(used + 1, inflated + 1, gated, refused, streak + 1)
-
-
-def _learned(config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation) -> Snapshot:
-    """Learn from an innovation about its source's noise; from one that tells the pose, about the counters' steps too."""
-    (r, H, R), source = observation, measurement.source
-    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and source not in now.steps
-    names, parts, steps = [source], [parts_of(R, blocks_of(measurement))], now.steps
-    if tells_pose:
-        for counter, added in now.steps.items():
-            names.append(steps_of(counter))
-            led = H[:, :3] * config.counter.led
-            parts.append(led @ added @ led.T)
-        steps = dict.fromkeys(now.steps, np.zeros((2, 3, 3)))
-    noises = tuple(now.noise.get(name, AS_STATED) for name in names)
-    least = [LEAST if name != source or source in now.steps else 1.0 for name in names]
-    after = learned(noises, H @ now.P @ H.T + R, r, np.concatenate(parts), config.noise_memory, least)
-    return now._replace(noise={**now.noise, **dict(zip(names, after, strict=True))}, steps=steps)
+    links: tuple[Link, ...] | None = None

@@ -1,0 +1,66 @@
+"""Who is wrong, where a measurement is beyond what was believed: the source, the wheels' steps, or the belief."""
+
+import numpy as np
+
+from longreach.estimation import ekf
+from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.observation import Measurement, Observation
+from longreach.estimation.snapshot import Doubt, Snapshot
+from longreach.geometry import se2
+from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
+
+_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
+
+
+def blamed(
+    config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation, gate: float, at: int
+) -> Snapshot:
+    """Where an innovation is beyond the gate, say what may be wrong with what was believed, before the source is.
+
+    First the steps of counters: wheels slip, by ten times what their steps are usually wrong by. Where that does not
+    do, and a source says again and again that the pose is off by the same, it has been moved: then the source is right.
+    """
+    (r, H, R), source = observation, measurement.source
+    S = H @ now.P @ H.T + R
+    nis = float(r @ np.linalg.solve(S, r)) if np.all(np.isfinite(S)) else 0.0
+    doubts = {name: doubt for name, doubt in now.doubts.items() if name != source}
+    if not (nis > gate and isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)):
+        return now._replace(doubts=doubts) if source in now.doubts else now
+    for counter, added in now.steps.items():
+        M, Q = _moving(now, counter, source, at), np.sum(added, axis=0)
+        HM = H @ M
+        for s in _SLIPS:
+            if r @ np.linalg.solve(S + s * HM @ Q @ HM.T, r) <= gate:
+                return now._replace(P=loosened(now.P, M, s * Q), doubts=doubts)
+    if source in now.steps:
+        return now
+    xi, before = np.linalg.lstsq(H[:, at : at + 3], r, rcond=None)[0], now.doubts.get(source)
+    same = before is not None and np.linalg.norm(xi - before.xi) < 0.5 * np.linalg.norm(xi)
+    times = before.times + 1 if before is not None and same else 1
+    if times <= config.gate_patience:
+        return now._replace(doubts={**doubts, source: Doubt(times, xi)})
+    P = now.P
+    for counter in now.steps or ("",):
+        P = loosened(P, _moving(now, counter, source, at), np.outer(xi, xi))
+    return now._replace(P=P, doubts=doubts)
+
+
+def _moving(now: Snapshot, counter: str, source: str, at: int) -> np.ndarray:
+    """Return how an error of the pose (3,), which a counter has made, is in the whole state (n, 3).
+
+    Where the counter's own reading tells, the error is its anchor's alone.
+    """
+    M, eye = np.zeros((len(now.mean), 3)), np.eye(3)
+    if counter != source:
+        M[:3] = M[at : at + 3] = eye
+    if counter in now.anchors:
+        i = ekf.BODY + 3 * now.anchors[counter].number
+        M[i : i + 3] = se2.adjoint(se2.between(now.mean[i : i + 3], now.mean[:3]))
+    return M
+
+
+def loosened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    P = P + M @ Q @ M.T
+    P = 0.5 * (P + P.T)
+    P.flags.writeable = False
+    return P

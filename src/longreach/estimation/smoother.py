@@ -1,0 +1,57 @@
+"""The filter's run looked back upon: what each pose is, given all that came after as well.
+
+A Rauch–Tung–Striebel smoother in the form of Bryson and Frazier, which needs no inverse of P: that is singular where a
+pose has just been remembered as an anchor, or is exactly known. Going back over what the filter did, λ and Λ gather
+what was learned later, λ ← Mᵀ λ - Hᵀ S⁻¹ r and Λ ← Mᵀ Λ M + Hᵀ S⁻¹ H; the smoothed error is -P λ, its covariance
+P - P Λ P.
+
+Source: Bierman 1973, "Fixed interval smoothing with discrete measurements", the modified Bryson–Frazier smoother.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from longreach.errors import EstimationError
+from longreach.estimation.fusion import Event, FusionState, step
+from longreach.estimation.snapshot import Snapshot
+from longreach.geometry import se2
+from longreach.trajectory import PoseTrajectory
+
+
+def smooth(state: FusionState, events: Iterable[Event]) -> PoseTrajectory:
+    """Take all events, sorted as `fusion.in_order` does, and return the smoothed pose at each stamp, as `run` does.
+
+    Give `init` a config with history=0: sorted events need none.
+    """
+    first = state.history[-1]._replace(links=())
+    state = replace(state, history=(*state.history[:-1], first))
+    taken: list[Snapshot] = []
+    for event in events:
+        state, _ = step(state, event)
+        if not taken or state.history[-1] is not taken[-1]:
+            taken.append(state.history[-1])
+    if not taken:
+        raise EstimationError("No measurement could be taken: none has a stamp at or after the start of the filter.")
+    return _back(taken)
+
+
+def _back(taken: Sequence[Snapshot]) -> PoseTrajectory:
+    """Go back over the snapshots; of those of one stamp the last is a row."""
+    n = len(taken[-1].mean)
+    lam, Lam = np.zeros(n), np.zeros((n, n))
+    stamps, poses, covariances = [], [], []
+    for snapshot in reversed(taken):
+        if not stamps or snapshot.key[0] < stamps[-1]:
+            P = snapshot.P
+            stamps.append(snapshot.key[0])
+            poses.append(se2.retract(snapshot.mean[:3], -(P[:3] @ lam)))
+            covariance = P[:3, :3] - P[:3] @ Lam @ P[:, :3]
+            covariances.append(0.5 * (covariance + covariance.T))
+        for M, H, weighed, information in reversed(snapshot.links or ()):
+            lam, Lam = M.T @ lam, M.T @ Lam @ M
+            if H is not None:
+                lam, Lam = lam - H.T @ weighed, Lam + H.T @ information @ H
+        Lam = 0.5 * (Lam + Lam.T)
+    return PoseTrajectory(np.array(stamps[::-1]), np.array(poses[::-1]), np.array(covariances[::-1]))
