@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
-from longreach.app.guides import counter_events, match_events, wheel_guide
+from longreach.app.guides import Trust, counter_events, guided_step, match_events, wheel_guide
 from longreach.control.hardware import Readings
 from longreach.estimation import ekf, fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
@@ -21,12 +21,13 @@ from longreach.estimation.observation import planar_imu
 from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement, Wheels
 from longreach.odometry import lidar
 from longreach.odometry.lidar import LidarState
+from longreach.odometry.scan_match import ScanMatch
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 
 _REMEMBERED = 12  # wheel records that the next one is seen with
 _STEPS = 100  # of the wheels that are remembered: two seconds of them
-_NOTHING = Recording("live")
+_NOTHING, _UNTRIED = Recording("live"), Trust()
 _HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
 
 
@@ -42,8 +43,8 @@ class Row(NamedTuple):
 class LocalizerState:
     """What the sources and the filter remember.
 
-    steps: the last of the wheels, for the scans that are to come; carried_to: the reading up to which a counter carries
-    its anchor.
+    trust, match: in the wheels as a guide of the LIDAR, and the last scan's match. steps: the last of the wheels, for
+    the scans that are to come. carried_to: the reading up to which a counter carries its anchor [s].
     """
 
     robot: RobotDescription
@@ -51,6 +52,8 @@ class LocalizerState:
     filter: FusionState
     start: float
     lidar: LidarState
+    trust: Trust = _UNTRIED
+    match: ScanMatch | None = None
     wheels: tuple[Wheels, ...] = ()
     steps: tuple[RelativePoseMeasurement, ...] = ()
     carried_to: float = -np.inf
@@ -138,5 +141,5 @@ def _lidar(state: LocalizerState, scan: LaserScan) -> tuple[LocalizerState, list
     if not scan.stamp > max(state.lidar.stamp, np.nextafter(state.start, -np.inf)):
         return state, []
     guide = wheel_guide(state.steps, state.lidar.stamp, scan.stamp) if np.isfinite(state.lidar.stamp) else None
-    odometry, match = lidar.step(state.lidar, scan, guide)
-    return replace(state, lidar=odometry), match_events(match)
+    odometry, trust, match = guided_step(state.lidar, state.trust, scan, guide, state.match)
+    return replace(state, lidar=odometry, trust=trust, match=match), match_events(match)
