@@ -11,6 +11,7 @@ from longreach.app.execution import Execution, ExecutionConfig, execute, loop_me
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
 from longreach.app.results import write_results
 from longreach.app.seeds import more_seeds
+from longreach.app.show import Show, show
 from longreach.app.tracker import TrackerConfig
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.whole_body import WholeBodyConfig
@@ -62,6 +63,8 @@ class DualTrajectoryConfig(BaseModel):
     floor: str | float | None = Field(
         default=None, description="good, worn, wet, slippery, a friction; null: the world's."
     )
+    video: bool = Field(default=False, description="Whether a film of the first run is written, drive.gif.")
+    view: bool = Field(default=False, description="Whether a window shows it while it goes on.")
 
     def execution(self, seed: int, loop: str) -> ExecutionConfig:
         """Return how one run is executed."""
@@ -86,12 +89,17 @@ def planned(robot: MobileManipulator, config: DualTrajectoryConfig) -> tuple[Ref
     return reference, eased(plan(robot, reference, q0, iterations=20))
 
 
-def execute_both(config: DualTrajectoryConfig, seed: int, tell: Progress) -> dict[str, Execution]:
-    """Execute the plan with the loop closed on the estimate, and open."""
+def execute_both(
+    config: DualTrajectoryConfig, seed: int, tell: Progress, watch: Show | None = None
+) -> dict[str, Execution]:
+    """Execute the plan with the loop closed on the estimate, which `watch` shows, and open."""
     robot = load_robot(config.robot)
     tell("planning", 0.0)
-    _, trajectory = planned(robot, config)
-    return {loop: execute(robot, trajectory, config.execution(seed, loop), tell) for loop in LOOPS}
+    reference, trajectory = planned(robot, config)
+    if watch is not None and reference.tool is not None:
+        watch.goal = reference.tool[:, :3, 3]
+    shown = {"closed": watch, "open": None}
+    return {loop: execute(robot, trajectory, config.execution(seed, loop), tell, shown[loop]) for loop in LOOPS}
 
 
 def metrics_of(runs: Mapping[str, Execution]) -> dict[str, dict[str, Metric]]:
@@ -118,7 +126,8 @@ def _job(config: DualTrajectoryConfig, seed: int) -> Metrics:
 def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    runs = execute_both(config, config.seed, tell)
+    with show(config.video, config.view) as shown:
+        runs = execute_both(config, config.seed, tell, shown)
     metrics: Metrics = metrics_of(runs)
     remarks = [verdict(metrics)] + [f"{loop} loop: {run.run.reason}" for loop, run in runs.items() if run.run.reason]
     remarks += runs["closed"].estimate.remarks
@@ -141,6 +150,7 @@ def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progr
     with whole_folder(out) as folder:
         tell("writing", 0.0)
         write_executions(folder, runs)
+        shown.write(folder)
         main = {loop: {name: metrics[loop][name] for name in MAIN} for loop in LOOPS}
         write_results(
             folder, "Dual trajectory", introduction, metrics, drawn, to_yaml(config), tell, remarks,

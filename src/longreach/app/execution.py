@@ -18,6 +18,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.motion import Truth
 from longreach.sim.physics import Simulation
 from longreach.sim.record import recorded
+from longreach.sim.simulated import Simulated
 
 Progress = Callable[[str, float], None]
 
@@ -49,13 +50,26 @@ class Execution:
 
 
 def execute(
-    robot: MobileManipulator, plan: ConfigurationTrajectory, config: ExecutionConfig, progress: Progress | None = None
+    robot: MobileManipulator,
+    plan: ConfigurationTrajectory,
+    config: ExecutionConfig,
+    progress: Progress | None = None,
+    watch: Callable[[Simulated], None] | None = None,
 ) -> Execution:
-    """Drive the simulated robot along the plan, from the plan's first row; the truth is for comparison alone."""
+    """Drive the simulated robot along the plan, from the plan's first row; the truth is for comparison alone.
+
+    watch: called with the simulation after each tick.
+    """
     tell = progress or (lambda stage, fraction: None)
     q = plan.q[0]
     simulation = Simulation(robot, config.world, seed=config.seed, floor=config.floor, q=q)
     loop = config.tracker.whole_body.loop
+
+    def ticked(tick: Tick, part: float) -> None:
+        tell(f"driving, {loop} loop", part)
+        if watch is not None:
+            watch(simulation)
+
     done = run(
         simulation,
         lambda stamp: simulation.advance(max(stamp - simulation.stamp, 0.0)),
@@ -63,7 +77,7 @@ def execute(
         plan,
         q[robot.base],
         config.tracker,
-        lambda tick, part: tell(f"driving, {loop} loop", part),
+        ticked,
     )
     truths = simulation.truths()
     recording = recorded(done.readings, truths, f"{simulation.world.name}-{config.seed}", robot.description)

@@ -13,6 +13,7 @@ from longreach.app.evaluate import Evaluation, Metrics, evaluate
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
 from longreach.app.results import write_results
 from longreach.app.seeds import more_seeds
+from longreach.app.show import Show, show
 from longreach.io.bag_writer import write_bag
 from longreach.io.config import to_yaml
 from longreach.io.robots import load_robot
@@ -41,6 +42,8 @@ class LocalizationConfig(BaseModel):
     seeds: int = Field(default=1, ge=1, description="How many runs, with seeds counted on from the first.")
     duration: float = Field(default=120.0, ge=1.0, description="Of the drive [s]; the thesis' 120 s.")
     floor: str | float = Field(default="good", description="good, worn, wet, slippery, or a coefficient of friction.")
+    video: bool = Field(default=False, description="Whether a film of the first run is written, drive.gif.")
+    view: bool = Field(default=False, description="Whether a window shows it while it goes on.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,14 @@ class Localization:
     evaluation: Evaluation
 
 
-def localize(config: LocalizationConfig, seed: int, progress: Progress | None = None) -> Localization:
+def localize(
+    config: LocalizationConfig, seed: int, progress: Progress | None = None, watch: Show | None = None
+) -> Localization:
     """Drive, record, and estimate from each set of sensors; the truth is for comparison alone."""
     tell = progress or (lambda stage, fraction: None)
     robot = load_robot(config.robot)
     tell("simulation", 0.0)
-    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor)
+    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor, watch=watch)
     none = EvaluationConfig(align="none")
     estimates = {}
     for i, (name, sources) in enumerate(VARIANTS.items()):
@@ -72,14 +77,15 @@ def localize(config: LocalizationConfig, seed: int, progress: Progress | None = 
 def run_localization(config: LocalizationConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    first = localize(config, config.seed, tell)
+    with show(config.video, config.view) as shown:
+        first = localize(config, config.seed, tell, shown if config.video or config.view else None)
     metrics: Metrics = first.evaluation.metrics
     remarks = list(first.evaluation.remarks)
     if config.seeds > 1:
         seeds = range(config.seed, config.seed + config.seeds)
         metrics, remark = more_seeds(partial(_metrics, config), _compared(metrics), seeds, tell)
         remarks.append(remark)
-    _write(config, first, metrics, remarks, out, tell)
+    _write(config, first, metrics, remarks, out, tell, shown)
     return metrics
 
 
@@ -102,7 +108,13 @@ def _compared(metrics: Metrics) -> Metrics:
 
 
 def _write(
-    config: LocalizationConfig, run: Localization, metrics: Metrics, remarks: Sequence[str], out: Path, tell: Progress
+    config: LocalizationConfig,
+    run: Localization,
+    metrics: Metrics,
+    remarks: Sequence[str],
+    out: Path,
+    tell: Progress,
+    shown: Show,
 ) -> None:
     introduction = (
         f"The {run.fused.robot.name} drives fast and erratically through the laboratory for {config.duration:g} s, on "
@@ -113,5 +125,6 @@ def _write(
         tell("writing", 0.0)
         write_bag(folder / "recording.mcap", run.recording, run.fused.robot)
         write_trajectories(folder, run.evaluation.trajectories)
+        shown.write(folder)
         drawn = comparison_figures(run.evaluation) | estimate_figures(run.fused)
         write_results(folder, "Localization", introduction, metrics, drawn, to_yaml(config), tell, remarks)

@@ -13,6 +13,7 @@ from longreach.app.dual_trajectory import PACE, write_executions
 from longreach.app.execution import Execution, ExecutionConfig, execute, loop_metrics
 from longreach.app.results import write_results
 from longreach.app.seeds import more_seeds
+from longreach.app.show import Show, show
 from longreach.evaluation import execution_figures, planning_figures
 from longreach.evaluation.execution import tool_metrics
 from longreach.evaluation.tables import Metric, metric
@@ -57,9 +58,13 @@ class ManipulabilityConfig(BaseModel):
     floor: str | float | None = Field(
         default=None, description="good, worn, wet, slippery, a friction; null: the world's."
     )
+    video: bool = Field(default=False, description="Whether a film of the first run is written, drive.gif.")
+    view: bool = Field(default=False, description="Whether a window shows it while it goes on.")
 
 
-def execute_both(config: ManipulabilityConfig, seed: int, tell: Progress) -> dict[str, Execution]:
+def execute_both(
+    config: ManipulabilityConfig, seed: int, tell: Progress, watch: Show | None = None
+) -> dict[str, Execution]:
     """Execute the optimised plan and the one that is not; both of the same reference, from their own first rows."""
     robot = load_robot(config.robot)
     q0 = robot.home
@@ -72,7 +77,10 @@ def execute_both(config: ManipulabilityConfig, seed: int, tell: Progress) -> dic
         "not optimised": plan(robot, reference, q0, iterations=20),
     }
     setting = ExecutionConfig(seed=seed, world=config.world, floor=config.floor)
-    return {name: execute(robot, eased(found), setting, tell) for name, found in plans.items()}
+    if watch is not None and reference.tool is not None:
+        watch.goal = reference.tool[:, :3, 3]
+    shown = {"optimised": watch, "not optimised": None}
+    return {name: execute(robot, eased(found), setting, tell, shown[name]) for name, found in plans.items()}
 
 
 def measures(runs: Mapping[str, Execution], measure: Measure) -> dict[str, np.ndarray]:
@@ -128,7 +136,8 @@ def _job(config: ManipulabilityConfig, seed: int) -> Metrics:
 def run_manipulability(config: ManipulabilityConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    runs = execute_both(config, config.seed, tell)
+    with show(config.video, config.view) as shown:
+        runs = execute_both(config, config.seed, tell, shown)
     metrics: Metrics = metrics_of(config, runs)
     remarks = [f"{name}: {run.run.reason}" for name, run in runs.items() if run.run.reason]
     if config.seeds > 1:
@@ -148,6 +157,7 @@ def run_manipulability(config: ManipulabilityConfig, out: Path, progress: Progre
     }
     with whole_folder(out) as folder:
         tell("writing", 0.0)
+        shown.write(folder)
         write_executions(folder, {name.replace(" ", "_"): run for name, run in runs.items()})
         main = {name: {key: metrics[name][key] for key in MAIN if key in metrics[name]} for name in PLANS}
         write_results(

@@ -38,7 +38,7 @@ def is_meant(config: Path | None, planar: Mapping[str, Any], spatial: Mapping[st
             "--config."
         )
     if planar["robot"] is None:
-        raise ConfigError("Give --robot, a shipped description or a YAML file, or parameters of robot_localization as --config.")
+        raise ConfigError("Give --robot, a description or a YAML file, or robot_localization's parameters as --config.")
     return False
 
 

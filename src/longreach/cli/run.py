@@ -17,6 +17,8 @@ def command(
     length: float | None = typer.Option(None, help="dual-trajectory: of the tool's line in metres; 2."),
     objective: str | None = typer.Option(None, help="manipulability: sqrt_kappa_over_m (4.33), or neg_log_m."),
     world: str | None = typer.Option(None, help="laboratory, office, corridor, warehouse, hall, or a YAML file."),
+    video: bool = typer.Option(False, "--video", help="Write a film of the run, drive.gif."),
+    view: bool = typer.Option(False, "--view", help="Show the run in a window, where there is a screen."),
     floor: str | None = typer.Option(None, help="good, worn, wet, slippery, or a coefficient of friction."),
 ) -> None:
     """Run a simulated experiment and write recording, trajectories, figures and a report into a folder."""
@@ -30,7 +32,15 @@ def command(
         raise ConfigError(f"There is no experiment {experiment!r}; there are {', '.join(EXPERIMENTS)}.")
     chosen = EXPERIMENTS[experiment]
     number = float(floor) if floor is not None and floor.replace(".", "", 1).isdigit() else floor
-    given = {"duration": duration, "length": length, "objective": objective, "world": world, "floor": number}
+    given = {
+        "duration": duration,
+        "length": length,
+        "objective": objective,
+        "world": world,
+        "floor": number,
+        "video": video,
+        "view": view,
+    }
     given = {name: value for name, value in given.items() if value is not None}
     config = validated(chosen.config, {"seed": seed, "seeds": seeds, **given}, "the options")
     folder = out or Path("out") / experiment

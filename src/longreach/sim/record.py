@@ -25,11 +25,17 @@ _WATCHED = 1.0  # how fast whoever steers takes back an error that is seen [1/s]
 _AFTER = 0.1  # [s] for what is still under way at the end
 
 
-def record(simulation: Simulated, twists: Callable[[float], Float[np.ndarray, "3"]], duration: float) -> Recording:
+def record(
+    simulation: Simulated,
+    twists: Callable[[float], Float[np.ndarray, "3"]],
+    duration: float,
+    watch: Callable[[Simulated], None] | None = None,
+) -> Recording:
     """Drive a base by body twists for a time and return what its sensors said, and the truth.
 
     twists: from the time since the start [s] to [v_x, v_y, ω]; asked for at the rate at which the base takes commands.
-    duration [s]. What the simulation has not been asked for before belongs to the recording.
+    duration [s]. watch: called after each command. What the simulation has not been asked for before belongs to the
+    recording.
     """
     if not 0.0 < duration < np.inf:
         raise ConfigError(f"A drive lasts longer than 0 s, but {duration} s was asked for.")
@@ -39,6 +45,8 @@ def record(simulation: Simulated, twists: Callable[[float], Float[np.ndarray, "3
         simulation.write(Command(simulation.stamp, base=np.asarray(twists(i * dt), dtype=float)))
         simulation.advance(start + (i + 1) * dt - simulation.stamp)
         readings.append(simulation.read())
+        if watch is not None:
+            watch(simulation)
     simulation.write(Command(simulation.stamp, base=np.zeros(3)))
     simulation.advance(_AFTER)
     readings.append(simulation.read())
@@ -86,13 +94,15 @@ def make_recording(
     duration: float = 60.0,
     floor: str | float | None = None,
     config: PhysicsConfig | None = None,
+    watch: Callable[[Simulated], None] | None = None,
 ) -> Recording:
     """Drive fast and erratically through the laboratory and return what the sensors said, and the truth.
 
     The drive is that of `kinematic.make_recording` with the same robot, seed and duration, steered by someone who sees
     the base and takes back what slip has done; the room is as there. Its first pose is the world, its first stamp 0.
 
-    Arguments: duration [s], at least 1; floor: a name of `worlds.FLOORS` or a coefficient of friction.
+    Arguments: duration [s], at least 1; floor: a name of `worlds.FLOORS` or a coefficient of friction; watch: called
+    after each command.
 
     Raises:
         ConfigError: MuJoCo is not installed, the robot has no physics, or duration or floor are none.
@@ -112,4 +122,4 @@ def make_recording(
         i = round(t * rate)
         return twists[i] + _WATCHED * se2.difference(simulation.truth().base, poses[i])
 
-    return record(simulation, steered, duration).replace(name=f"physics-{seed}")
+    return record(simulation, steered, duration, watch).replace(name=f"physics-{seed}")
