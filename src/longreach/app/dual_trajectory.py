@@ -86,7 +86,10 @@ def planned(robot: MobileManipulator, config: DualTrajectoryConfig) -> tuple[Ref
         waypoints=200 * swings,
         duration=config.length / PACE,
     )
-    return reference, eased(plan(robot, reference, q0, iterations=20))
+    far = np.full(robot.base.stop, 2.0 * config.length)  # a base has no end stops, its description only says 10 m
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    lower[robot.base], upper[robot.base] = np.minimum(lower[robot.base], -far), np.maximum(upper[robot.base], far)
+    return reference, eased(plan(robot.with_limits(lower, upper), reference, q0, iterations=20))
 
 
 def execute_both(
@@ -130,6 +133,7 @@ def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progr
         runs = execute_both(config, config.seed, tell, shown)
     metrics: Metrics = metrics_of(runs)
     remarks = [verdict(metrics)] + [f"{loop} loop: {run.run.reason}" for loop, run in runs.items() if run.run.reason]
+    remarks += [report.reason for report in runs["closed"].plan.reports if report.unmet.any()]
     remarks += runs["closed"].estimate.remarks
     if config.seeds > 1:
         seeds = range(config.seed, config.seed + config.seeds)

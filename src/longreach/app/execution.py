@@ -83,17 +83,20 @@ def execute(
     recording = recorded(done.readings, truths, f"{simulation.world.name}-{config.seed}", robot.description)
     settings = config.tracker.estimate.model_copy(update={"evaluation": EvaluationConfig(align="none")})
     replayed = estimate(recording, robot, settings, progress=tell)
-    traces = _traces(robot, done, truths, config.tracker.before)
+    traces = _traces(robot, done, truths)
     return Execution(robot, plan, done, recording, truths, replayed, traces)
 
 
-def _traces(robot: MobileManipulator, done: Run, truths: list[Truth], before: float) -> Traces:
-    """Return all at the stamps of the truth, from where the plan begins to the last tick."""
+def _traces(robot: MobileManipulator, done: Run, truths: list[Truth]) -> Traces:
+    """Return all at the stamps of the truth while the reference moves; where it never does, all of the time."""
     t = np.array([tick.stamp for tick in done.ticks])
-    known = [truth for truth in truths if t[0] + before <= truth.stamp <= t[-1]]
+    goals = np.array([tick.q_reference for tick in done.ticks])
+    moving = np.flatnonzero(np.any(np.diff(goals, axis=0) != 0.0, axis=1))
+    begin, end = (t[moving[0]], t[moving[-1] + 1]) if len(moving) else (t[0], t[-1])
+    known = [truth for truth in truths if begin <= truth.stamp <= end]
     stamps = np.array([truth.stamp for truth in known])
-    q_reference = _at(stamps, t, np.array([tick.q_reference for tick in done.ticks]), robot)
-    q = _at(stamps, t, np.array([tick.q for tick in done.ticks]), robot)
+    q_reference = _at(stamps, t, goals)
+    q = _at(stamps, t, np.array([tick.q for tick in done.ticks]))
     P = np.array([_nearest(done.ticks, t, stamp).covariance for stamp in stamps.tolist()])
     T, J = robot.forward_and_jacobian_batch(q)
     spread = [tool_state(q[i, :3], P[i], T[i], J[i]).covariance for i in range(len(q))]
@@ -110,7 +113,7 @@ def _traces(robot: MobileManipulator, done: Run, truths: list[Truth], before: fl
     )
 
 
-def _at(stamps: np.ndarray, t: np.ndarray, q: np.ndarray, robot: MobileManipulator) -> np.ndarray:
+def _at(stamps: np.ndarray, t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return configurations between the ticks'."""
     q = q.copy()
     q[:, 2] = np.unwrap(q[:, 2])
