@@ -20,8 +20,11 @@ from longreach.io.config import load_description
 from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
 from longreach.planning.inverse_kinematics import all_solutions, solve_ik
+from longreach.planning.obstacles import Disc
 from longreach.planning.planner import plan
 from longreach.planning.reference import dual_trajectory
+from longreach.planning.terms_clearance import base_clearance
+from longreach.planning.thesis_problem import thesis_problem
 from longreach.robot.manipulability import manipulability
 from longreach.sim.kinematic import make_recording
 from longreach.sim.kinematic_config import KinematicConfig
@@ -98,6 +101,8 @@ def _sqp() -> None:
     reference = dual_trajectory(thing.forward(thing.home), waypoints=5)
     for coupled in (True, False):
         plan(thing, reference, thing.home, method="sqp", coupled=coupled)
+    post = base_clearance(0.5, (Disc(thing.home[:2] + np.array([3.0, 3.0]), 0.1),))
+    plan(thing, reference, thing.home, method="sqp", problem=thesis_problem().adding(post))
 
 
 def _space() -> None:

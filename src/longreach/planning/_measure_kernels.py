@@ -11,7 +11,7 @@ import numpy as np
 
 from longreach.kernels import kernel
 from longreach.robot._kinematics_kernels import forward_jacobian
-from longreach.robot._manipulability_kernels import _contract, _turn, log_measures
+from longreach.robot._manipulability_kernels import contract, turn, log_measures
 
 _SWEEPS = 30
 _SINGULAR = 1e-6  # part of a row's length: with less of it left, singular values tell more
@@ -62,7 +62,7 @@ def _turned(J, first, scale, sweeps, B, sigma):
         done = True
         for p in range(5):
             for r in range(p + 1, 6):
-                done &= _turn(B, p, r, m)
+                done &= turn(B, p, r, m)
         if done:
             break
     for p in range(6):
@@ -87,7 +87,7 @@ def _by_singular_values(J, first, scale, a, b, sweeps, B, c, room, gradient):
         total += math.log(sigma[p])
         c[p] = (a + (b if p == high else 0.0) - (b if p == low else 0.0)) / (sigma[p] * sigma[p])
     total = a * total + b * math.log(sigma[high] / sigma[low])
-    _contract(J, first, scale, B, c, room[1:], gradient)
+    contract(J, first, scale, B, c, room[1:], gradient)
     return total
 
 
@@ -100,7 +100,7 @@ def _value(J, first, scale, a, b, sweeps, B, c, room, gradient):
         if value == value:
             for p in range(6):
                 c[p] = a
-            _contract(J, first, scale, B, c, room[1:], gradient)
+            contract(J, first, scale, B, c, room[1:], gradient)
             return value
     else:
         value = _by_singular_values(J, first, scale, a, b, sweeps, B, c, room, gradient)

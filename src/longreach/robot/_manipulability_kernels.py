@@ -11,7 +11,7 @@ _SINGULAR = 1e-12  # smaller singular values count as this much of the largest, 
 
 
 @kernel(fastmath={"contract"})
-def _turn(B, p, r, m):
+def turn(B, p, r, m):
     """Make rows p and r of B orthogonal over their first m columns; return whether they were nearly so before."""
     a, b, c = 0.0, 0.0, 0.0
     for i in range(m):
@@ -48,7 +48,7 @@ def singular_values(J, first, scale, B, sigma):
         done = True
         for p in range(5):
             for r in range(p + 1, 6):
-                done &= _turn(B, p, r, m)
+                done &= turn(B, p, r, m)
         if done:
             break
     for p in range(6):
@@ -59,7 +59,7 @@ def singular_values(J, first, scale, B, sigma):
 
 
 @kernel(fastmath={"contract"})
-def _contract(J, first, scale, B, c, b, gradient):
+def contract(J, first, scale, B, c, b, gradient):
     """Fill gradient (n,) with Σ_i W_i · ∂A_i/∂q_j, W = Σ_p c_p u_p (σv)_pᵀ; b (n, 3) is room to work in.
 
     ∂A_i/∂q_j is a pair of cross products (see `hessian`). So the sum is ω_j times one over the columns i ≥ j, plus v_j
@@ -113,12 +113,12 @@ def log_measures(J, first, scale, values, gradients):
         c[p] = 1.0 / (s * s)
     values[0] = np.log(product)
     values[1] = np.log(sigma[high] / max(sigma[low], floor))
-    _contract(J, first, scale, B, c, room, gradients[0])
+    contract(J, first, scale, B, c, room, gradients[0])
     for p in range(6):
         if p != high and p != low:
             c[p] = 0.0
     c[low] = -c[low]
-    _contract(J, first, scale, B, c, room, gradients[1])
+    contract(J, first, scale, B, c, room, gradients[1])
 
 
 @kernel
