@@ -9,6 +9,8 @@ from longreach.estimation.snapshot import Doubt, Snapshot
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
+_DRIFT_MEMORY, _DRIFT_MOST = 0.15, 2.0  # weight of the last heading's innovation in the mean, and its bound (7 sigma)
+_STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
 _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
 
 
@@ -64,3 +66,19 @@ def loosened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
     P = 0.5 * (P + P.T)
     P.flags.writeable = False
     return P
+
+
+def drifting(config: FilterConfig, now: Snapshot, observation: Observation) -> Snapshot:
+    """Where headings are off to one side again and again, let the gyro's bias have jumped.
+
+    observation: of a pose with its heading in the last row; its innovations are white where the filter is right.
+    """
+    r, H, R = observation
+    share = r[2] / np.sqrt(H[2] @ now.P @ H[2] + R[2, 2])
+    drift = now.drift + _DRIFT_MEMORY * (max(-4.0, min(4.0, float(share))) - now.drift)
+    if abs(drift) < _DRIFT_MOST:
+        return now._replace(drift=drift)
+    P = now.P.copy()
+    P[9, 9] += (_STEP * config.initial_gyro_bias_deviation) ** 2
+    P.flags.writeable = False
+    return now._replace(P=P, drift=0.0)

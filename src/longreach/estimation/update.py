@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.estimation import ekf, motion
-from longreach.estimation.blame import blamed
+from longreach.estimation.blame import blamed, drifting
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.noise import AS_STATED, LEAST, learned, parts_of, scaled
 from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
@@ -171,6 +171,8 @@ def _corrected(
     k = len(r)
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
     now = blamed(config, now, measurement, Observation(r, H, R), gate, at)
+    if k == 3 and isinstance(measurement, RelativePoseMeasurement) and source not in now.steps and gate < np.inf:
+        now = drifting(config, now, Observation(r, H, R))
     mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate)
     if nis == np.inf:
         return refused("its innovation has no positive definite covariance")
