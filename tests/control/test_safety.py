@@ -38,7 +38,7 @@ class Run:
         self.state, out = safety.step(self.state, command, came, health or Health((), self.now), self.now)
         self.mode = out.arm_mode
         if out.arm is not None and self.mode == "position":
-            self.speed, self.q = (out.arm - self.q) / dt, out.arm
+            self.speed, self.q = (out.arm - self.q) / min(dt, self.state.config.arm.period), out.arm
         elif out.arm is not None:
             self.speed = out.arm
         self.left.append((self.now, self.speed, out.base))

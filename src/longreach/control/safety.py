@@ -78,10 +78,12 @@ def step(
         wish, stop = _taken(config, wish, command, q, now)
     if stop is not None and state.stop is not None and state.stop.cause == stop.cause:
         stop = stop._replace(since=state.stop.since)
-    velocity, twist, limited = _moved(state, wish, q, stop is not None, elapsed)
+    # A position is reached within the arm's period, however long this tick was: a step is no longer than that allows.
+    arm_dt = min(elapsed, config.arm.period) if config.arm is not None and wish.arm_mode == "position" else elapsed
+    velocity, twist, limited = _moved(state, wish, q, stop is not None, arm_dt, elapsed)
     arm: np.ndarray | None = velocity
     if wish.arm_mode == "position":
-        q = arm = None if q is None else q + velocity * elapsed
+        q = arm = None if q is None else _not_beyond(config, q, q + velocity * arm_dt)
     if stop is not None:
         at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
         wish = wish._replace(arm=at_rest, base=np.zeros(3))
@@ -99,7 +101,8 @@ def step(
 
 def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.ndarray | None:
     """Where the arm is now: as the newest joint state says, carried on by the velocity sent; (n,) or None."""
-    arm, q = state.config.arm, state.q
+    config, q = state.config, state.q
+    arm = config.arm
     if arm is None:
         return q
     if q is not None and state.wish.arm_mode == "position":
@@ -108,9 +111,15 @@ def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.
         where = places(record.names, arm.names)
         if where is not None and len(record.position) == len(record.names):
             measured, age = record.position[where], now - record.stamp
-            if 0.0 <= age <= state.config.longest_tick and finite(measured):
-                return measured + state.velocity * age
-    return None if q is None else q + state.velocity * dt
+            if 0.0 <= age <= config.longest_tick and finite(measured):
+                return _not_beyond(config, measured, measured + state.velocity * age)
+    return None if q is None else _not_beyond(config, q, q + state.velocity * dt)
+
+
+def _not_beyond(config: SafetyConfig, q: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """Where the arm is after q (n,), which is no further beyond an end than it was: what is foretold may be wrong."""
+    lower, upper = config.arm_ends
+    return np.minimum(np.maximum(then, np.minimum(lower, q)), np.maximum(upper, q))
 
 
 def _taken(
@@ -140,7 +149,7 @@ def _taken(
 
 
 def _moved(
-    state: SafetyState, wish: Wish, q: np.ndarray | None, stopping: bool, dt: float
+    state: SafetyState, wish: Wish, q: np.ndarray | None, stopping: bool, arm_dt: float, dt: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """The velocities of arm and base that may be sent, and whether they are less than the wish."""
     config = state.config
@@ -150,13 +159,13 @@ def _moved(
     if q is not None and len(q):
         v = np.zeros(len(q))
         if wish.arm_mode == "position":
-            hold += dt  # the move of this step comes before what velocities would need to brake
-            if not stopping and dt > 0.0:
+            hold += arm_dt  # the move of this step comes before what velocities would need to brake
+            if not stopping and arm_dt > 0.0:
                 before = state.wish.arm if state.wish.arm_mode == "position" else q
-                _limit_kernels.follow(wish.arm, before, q, dt, a_max, v)
+                _limit_kernels.follow(wish.arm, before, q, arm_dt, a_max, v)
         elif not stopping:
             v = wish.arm
-        held = _limit_kernels.limit(v, state.velocity, dt, hold, v_max, a_max, q - lower, upper - q, velocity)
+        held = _limit_kernels.limit(v, state.velocity, arm_dt, hold, v_max, a_max, q - lower, upper - q, velocity)
     if config.base is not None:
         v_max, a_max, room = config.base_arrays
         v = np.zeros(3) if stopping else wish.base

@@ -27,6 +27,7 @@ class ArmLimits(_Settings):
     upper: tuple[_Bound, ...] = Field(description="Largest position [rad]; .inf: none.")
     velocity: tuple[_Positive, ...] = Field(description="Top speed [rad/s].")
     acceleration: tuple[_Positive, ...] = Field(description="Hardest acceleration, also when braking [rad/s²].")
+    period: _Positive = Field(default=0.008, description="A commanded position is reached within this [s]; 125 Hz.")
 
     @model_validator(mode="after")
     def _one_number_a_joint(self) -> "ArmLimits":
@@ -107,6 +108,12 @@ class SafetyConfig(_Settings):
         return tuple(np.array(limit, dtype=float) for limit in limits)
 
     @cached_property
+    def arm_ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper limits themselves, each (n,)."""
+        arm = self.arm
+        return (np.zeros(0), np.zeros(0)) if arm is None else (np.array(arm.lower), np.array(arm.upper))
+
+    @cached_property
     def base_arrays(self) -> tuple[np.ndarray, ...]:
         """Velocities, accelerations and endless room, each (3,)."""
         base = self.base
@@ -137,6 +144,7 @@ def limits_of(promises: Promises, config: SafetyConfig | None = None) -> SafetyC
             upper=tuple(limits.upper.tolist()),
             velocity=tuple(limits.velocity.tolist()),
             acceleration=tuple(limits.acceleration.tolist()),
+            period=1.0 / promises.arm_rate,
         )
     if config.base is None and promises.base_velocity is not None and promises.base_acceleration is not None:
         changes["base"] = BaseLimits.model_validate(
