@@ -55,6 +55,7 @@ class EstimateConfig(BaseModel):
     lidar: LidarConfig = LidarConfig()
     range_flow: RangeFlowConfig = RangeFlowConfig()
     filter: FilterConfig = FilterConfig(gate_mode="inflate", history=0.0)
+    smooth: bool = Field(default=False, description="Whether to look back over the whole run as well: `smoothed`.")
     evaluation: EvaluationConfig = EvaluationConfig()
 
 

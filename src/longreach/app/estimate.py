@@ -23,6 +23,7 @@ from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
 from longreach.estimation.fusion import Correction, Event
 from longreach.estimation.observation import PlanarImu, planar_imu
+from longreach.estimation.smoother import smooth
 from longreach.evaluation.consistency import consistency_metrics
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.chain import chain
@@ -103,11 +104,16 @@ def estimate(
     events = _events(recording, robot, sources, odometry)
     begin, fixes = events[0].stamp, recording.fixes if "fixes" in sources else ()
     pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
-    state = fusion.init(begin, pose, covariance, config.filter)
-    state, fused, corrections = offline.run(state, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
+    start = fusion.init(begin, pose, covariance, config.filter)
+    state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
+
+    paths = {"fused": _at_rows(fused, recording)}
+    if config.smooth:
+        tell("smoothing", 0.0)
+        paths["smoothed"] = _at_rows(smooth(start, events), recording)
 
     tell("evaluation", 0.0)
-    trajectories = _as_recorded({"fused": _at_rows(fused, recording), **dead_reckoning}, recording)
+    trajectories = _as_recorded({**paths, **dead_reckoning}, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, corrections, _found(matches))
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
@@ -231,8 +237,8 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     """Give the paths that there are the stamps as recorded, in the order of all tables."""
     return {
         name: PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
-        for name, path in ((name, paths[name]) for name in ("fused", "wheels", "lidar"))
-        if name == "fused" or len(path) > 1
+        for name, path in ((name, paths[name]) for name in ("fused", "smoothed", "wheels", "lidar") if name in paths)
+        if name in ("fused", "smoothed") or len(path) > 1
     }
 
 

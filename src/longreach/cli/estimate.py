@@ -25,6 +25,7 @@ def command(
     fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
+    smooth: bool = typer.Option(False, "--smooth", help="Look back over the whole run as well: smoothed.tum."),
     node: str | None = estimate_in_space.NODE,
     filter: str | None = estimate_in_space.FILTER,
     transform: list[str] = estimate_in_space.TRANSFORM,
@@ -37,7 +38,8 @@ def command(
     if estimate_in_space.is_meant(config, planar, spatial):
         estimate_in_space.run(recording, config, out, spatial)
     else:
-        _run(recording, out, {"config": config, "fix_sigma": fix_sigma, "fix_period": fix_period, **planar})
+        settings = {"config": config, "fix_sigma": fix_sigma, "fix_period": fix_period, "smooth": smooth}
+        _run(recording, out, settings | planar)
 
 
 def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
