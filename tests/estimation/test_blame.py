@@ -1,0 +1,104 @@
+"""Who is wrong: wheels that slip, a source that errs for a while, a base that was moved, a gyro that jumped, NaN."""
+
+import numpy as np
+import pytest
+from keyframe_events import unchecked
+
+from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.fusion import Anchor, in_order, init, step
+from longreach.estimation.observation import PlanarImu
+from longreach.geometry import se2
+from longreach.measurement import RelativePoseMeasurement
+
+CONFIG = FilterConfig(gate_mode="inflate", history=0.0, noise_memory=300.0, scale_deviation=(0.02,) * 3)
+SCAN = np.diag([5e-4, 5e-4, 1e-4]) ** 2
+STEP, READING = np.diag([1e-3, 1e-3, 2e-3]) ** 2, np.diag([1e-4, 1e-4, 1e-4]) ** 2
+SPEED = np.array([0.5, 0.0, 0.2])
+LAST = 200  # steps of 0.05 s, a scan at every second one, a keyframe every 20
+
+
+def drive(rng, wheels=lambda i, z: z, scans=lambda i, z: z, gyro=None, moved=None):
+    """Events of a drive on a circle, the true poses; wheels, scans change what they say, moved (i, pose) the base."""
+    truth = [np.zeros(3)]
+    events, key = [Anchor(0.0, "wheels"), Anchor(0.0, "lidar")], 0
+    for i in range(1, LAST + 1):
+        before, now, z = 0.05 * (i - 1), 0.05 * i, se2.exp(0.05 * SPEED)
+        x = se2.compose(truth[-1], z)
+        if moved is not None and i == moved[0]:
+            x = se2.compose(x, moved[1])
+        truth.append(x)
+        told = wheels(i, se2.retract(z, np.sqrt(np.diag(STEP)) * rng.normal(size=3)))
+        events.append(RelativePoseMeasurement(before, now, told, STEP, "wheels", READING))
+        if gyro is not None:
+            events.append(PlanarImu(now, 0.2 + gyro(i) + 0.01 * rng.normal(), None, np.zeros(2), 1e-4))
+        if i % 2 == 0:
+            seen = se2.retract(se2.between(truth[key], x), np.sqrt(np.diag(SCAN)) * rng.normal(size=3))
+            match = RelativePoseMeasurement(0.05 * key, now, scans(i, seen), 2 * SCAN, "lidar", None, SCAN)
+            if i % 20 == 0:
+                events.append(Anchor(now, "lidar", match))
+                key = i
+            else:
+                events.append(match)
+    return in_order(events), truth
+
+
+def errors_of(events, truth, config=CONFIG):
+    """Distance [m] and turn [rad] from the truth after each event, by step, and the last state."""
+    state, errors = init(0.0, np.zeros(3), None, config), np.zeros((LAST + 1, 2))
+    for event in events:
+        state, _ = step(state, event)
+        xi = se2.difference(state.belief.pose, truth[round(event.stamp / 0.05)])
+        errors[round(event.stamp / 0.05)] = np.hypot(*xi[:2]), abs(xi[2])
+    return errors, state
+
+
+def test_wheels_that_slip_do_not_carry_the_estimate_off(rng):
+    def spinning(i, z):
+        return se2.exp(3.0 * se2.log(z)) if 60 <= i < 100 else z
+
+    errors, state = unchecked(errors_of, *drive(rng, wheels=spinning))
+    assert errors[:, 0].max() < 0.1
+    assert errors[110:, 0].max() < 0.02
+    assert np.all(np.isfinite(state.history[-1].P))
+
+
+def test_a_burst_of_wrong_matches_does_not_carry_the_estimate_off(rng):
+    def wild(i, z):
+        return z + rng.normal(size=3) * [1.0, 1.0, 0.5] if 60 <= i < 72 else z
+
+    errors, _ = unchecked(errors_of, *drive(rng, scans=wild))
+    assert errors[:, 0].max() < 0.2
+    assert errors[110:, 0].max() < 0.1
+
+
+def test_a_base_that_was_moved_is_found_again_within_a_second(rng):
+    errors, _ = unchecked(errors_of, *drive(rng, moved=(90, np.array([0.8, -0.5, 0.6]))))
+    assert errors[89, 0] < 0.02
+    assert errors[110:, 0].max() < 0.03
+    assert errors[110:, 1].max() < 0.02
+
+
+def test_a_gyro_whose_bias_jumps_does_not_turn_the_estimate(rng):
+    config = FilterConfig(**(CONFIG.model_dump() | {"led_by_counter": (True, True, False)}))
+    errors, state = unchecked(errors_of, *drive(rng, gyro=lambda i: 0.05 * (i >= 60)), config)
+    assert errors[:, 1].max() < 0.02
+    assert state.belief.gyro_bias == pytest.approx(0.05, abs=0.01)
+
+
+@pytest.mark.parametrize("source", ["wheels", "scans"])
+def test_nan_is_refused_and_the_estimate_goes_on(rng, source):
+    def broken(i, z):
+        return z * np.nan if i == 60 else z
+
+    errors, state = unchecked(errors_of, *drive(rng, **{source: broken}))
+    assert np.all(np.isfinite(errors))
+    assert errors[:, 0].max() < 0.05
+    assert state.counters["wheels" if source == "wheels" else "lidar"].refused >= 1
+
+
+def test_without_a_gate_nobody_is_blamed(rng):
+    config = FilterConfig(**(CONFIG.model_dump() | {"gate_mode": "none"}))
+    errors, state = unchecked(errors_of, *drive(rng, moved=(90, np.array([0.8, -0.5, 0.6]))), config)
+    assert state.history[-1].doubts == {}
+    assert state.history[-1].drift == 0.0
+    assert np.all(np.isfinite(errors))
