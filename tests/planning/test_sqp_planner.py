@@ -8,8 +8,9 @@ from longreach.errors import LongreachError, PlanningError
 from longreach.planning.links import Smoothness
 from longreach.planning.obstacles import Box, Capsule, Disc, link_capsules
 from longreach.planning.problem import Problem
-from longreach.planning.sqp_planner import OptimisedTrajectory, _turns
+from longreach.planning.sqp_planner import OptimisedTrajectory
 from longreach.planning.sqp_run import SqpConfig
+from longreach.planning.sqp_start import _turns
 from longreach.planning.terms_clearance import SelfClearance, arm_clearance, base_clearance, least_clearance
 from longreach.planning.terms_pose import BaseDisc, ToolPose
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from longreach.kernels import kernel
 from longreach.robot._kinematics_kernels import forward_jacobian
-from longreach.robot._manipulability_kernels import contract, turn, log_measures
+from longreach.robot._manipulability_kernels import contract, log_measures, turn
 
 _SWEEPS = 30
 _SINGULAR = 1e-6  # part of a row's length: with less of it left, singular values tell more

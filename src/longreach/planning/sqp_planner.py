@@ -9,13 +9,13 @@ from jaxtyping import Float
 from longreach.configuration import ConfigurationTrajectory, TaskReport
 from longreach.errors import PlanningError
 from longreach.planning.links import Link, Smoothness, StepLimit
-from longreach.planning.priority_planner import plan_by_task_priority
-from longreach.planning.problem import Layout, Problem, evaluate
-from longreach.planning.program import Program, outside
+from longreach.planning.problem import Problem
+from longreach.planning.program import Program
 from longreach.planning.sqp import solve
 from longreach.planning.sqp_merit import merits, objectives
 from longreach.planning.sqp_run import SqpConfig
 from longreach.planning.sqp_solution import OptimisedTrajectory, SqpSolution, solution_of
+from longreach.planning.sqp_start import aside, coupled_start, most_outside, starts_of
 from longreach.planning.task_priority import checked_start
 from longreach.planning.terms import NearSeed, Waypoints
 from longreach.planning.terms_clearance import Clearance, Keeping, least_clearance
@@ -24,12 +24,10 @@ from longreach.planning.thesis_problem import thesis_problem
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
-_LONG = 1e4  # [s] between the waypoints of a start, so that no limit of speed counts
-_FAR = 0.01  # [m, rad] by which a start may violate a constraint that all waypoints together then come to keep
+_FAR = 1e-3  # [m, rad] by which a start may violate a constraint that all waypoints together then come to keep
 _NEAREST = 15  # iterations on the way to a start that holds: then all waypoints together do better
 _WIDENINGS = 4  # of the margins, at most
 _WIDER = 1.5  # by which a margin grows, in what was missing between waypoints
-_RAMP = 0.6  # part of the largest step that a change of heading in the start takes
 
 
 def optimise(
@@ -78,18 +76,18 @@ def plan_by_sqp(
     _check_start(robot, checked_start(robot, q0), problem)
     if not coupled:
         starts = (
-            _starts(robot, reference, q0, problem) if initial is None else _resampled(initial, robot, reference)[None]
+            starts_of(robot, reference, q0, problem) if initial is None else _resampled(initial, robot, reference)[None]
         )
         solution = _best_alone(robot, reference, starts, problem, config)
     else:
-        starts = _starts(robot, reference, q0, problem)
+        starts = starts_of(robot, reference, q0, problem)
         problem = _fitted(problem, starts[0])
         if initial is None:
-            start = _coupled_start(robot, reference, q0, problem, starts)
+            start = coupled_start(robot, reference, q0, problem, starts)
         else:
             start = _resampled(initial, robot, reference)
         end = time.monotonic() + config.budget
-        start = _moved_clear(robot, reference, problem, start, config)
+        start = _moved_clear(robot, reference, q0, problem, start, config)
         solution = _clear_between(robot, reference, problem, start, config, end)
     reports = tuple(_report(name, off, solution, problem, config.met) for name, off in solution.off.items())
     return OptimisedTrajectory(reference.stamps, solution.q, robot.joint_names, reports=reports, solution=solution)
@@ -125,29 +123,6 @@ def _resampled(initial: ConfigurationTrajectory, robot: MobileManipulator, refer
     return np.column_stack(columns)
 
 
-def _by_task_priority(
-    robot: MobileManipulator, reference: Reference, q0: np.ndarray, turn: float | np.ndarray = 0.0
-) -> np.ndarray:
-    """Return configurations (N, n) on the reference, its base turned."""
-    base = None if reference.base is None else reference.base + np.array([0.0, 0.0, 1.0]) * np.reshape(turn, (-1, 1))
-    slow = Reference(_LONG * np.arange(len(reference)), reference.tool, base)
-    return plan_by_task_priority(robot, slow, q0).q
-
-
-def _band(problem: Problem, reference: Reference) -> float:
-    """Return how far the heading is free either way: there the cost has one optimum at each end."""
-    bands = [constraint.band for constraint in problem.constraints if isinstance(constraint, BaseHeading)]
-    return min(bands) if bands and reference.base is not None else 0.0
-
-
-def _starts(
-    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem
-) -> Float[np.ndarray, "s N n"]:
-    band = _band(problem, reference)
-    turns = (band, -band) if band > 0 else (0.0,)
-    return np.array([_by_task_priority(robot, reference, q0, turn) for turn in turns])
-
-
 def _best_alone(
     robot: MobileManipulator, reference: Reference, starts: np.ndarray, problem: Problem, config: SqpConfig
 ) -> SqpSolution:
@@ -161,28 +136,15 @@ def _best_alone(
     return solution_of(run, rank.argmin(axis=0) * N + np.arange(N))
 
 
-def _coupled_start(
-    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem, starts: np.ndarray
-) -> Float[np.ndarray, "N n"]:
-    """Return a start whose heading is at that end of its band where the cost is less, changing over slowly."""
-    if len(starts) == 1:
-        return starts[0]
-    s, N, n = starts.shape
-    at = Waypoints(robot, reference, np.tile(np.arange(N), s), starts.reshape(s * N, n))
-    cost = evaluate(replace(problem, constraints=(), links=(), limits=True), at).f.reshape(s, N)
-    band = _band(problem, reference)
-    limits = [link.step for link in problem.links if isinstance(link, StepLimit)]
-    rate = min(_RAMP * min([*limits, band]), np.abs(np.diff(starts[0], axis=0)).max(initial=band))
-    return _by_task_priority(robot, reference, q0, _turns(cost, band, rate))
-
-
 def _moved_clear(
-    robot: MobileManipulator, reference: Reference, problem: Problem, start: np.ndarray, config: SqpConfig
-) -> np.ndarray:
-    """Return the start with each waypoint where constraints are far from holding moved to the nearest where they do."""
-    at = Waypoints(robot, reference, np.arange(len(start)), np.clip(start, robot.lower, robot.upper))
-    e, layout = evaluate(replace(problem, costs=(), links=(), limits=True), at), Layout.of(problem, at)
-    if outside(e.c, layout.lower, layout.upper).max(initial=0.0) <= _FAR:
+    robot: MobileManipulator, reference: Reference, q0: np.ndarray, problem: Problem, start: np.ndarray,
+    config: SqpConfig,
+) -> np.ndarray:  # fmt: skip
+    """Return a start that constraints are not far from holding at, each waypoint moved to the nearest where need be."""
+    if most_outside(robot, reference, problem, start).max() <= _FAR:
+        return start
+    start = aside(robot, reference, q0, problem, start)
+    if most_outside(robot, reference, problem, start).max() <= _FAR:
         return start
     near = Problem((NearSeed(start, np.ones(robot.dof)),), problem.constraints, (), problem.limits)
     half = config.model_copy(update={"budget": 0.5 * config.budget, "iterations": min(_NEAREST, config.iterations)})
@@ -213,30 +175,6 @@ def _clear_between(
         wider = replace(wider, constraints=tuple(terms))
         solution = optimise(robot, reference, wider, solution.q, True, _left(config, end))
     return solution
-
-
-def _turns(cost: Float[np.ndarray, "2 N"], band: float, rate: float) -> Float[np.ndarray, " N"]:
-    """Return the heading's place in its band (N,): the cheaper path between its two ends, by dynamic programming.
-
-    A change takes 2 band / rate waypoints, over which the cost is taken for the mean of both ends'.
-    """
-    N = cost.shape[1]
-    width = max(int(np.ceil(2.0 * band / rate)), 1)
-    excess = 0.5 * width * np.abs(cost[0] - cost[1]).mean()
-    total = cost[:, 0].copy()
-    came = np.zeros((2, N), dtype=int)
-    for k in range(1, N):
-        change = total[::-1] + excess < total
-        came[:, k] = np.where(change, [1, 0], [0, 1])
-        total = np.minimum(total, total[::-1] + excess) + cost[:, k]
-    path = np.empty(N, dtype=int)
-    path[-1] = int(np.argmin(total))
-    for k in range(N - 1, 0, -1):
-        path[k - 1] = came[path[k], k]
-    square = np.where(path == 0, band, -band)
-    window = np.ones(width) / width
-    padded = np.concatenate([np.full(width, square[0]), square, np.full(width, square[-1])])
-    return np.convolve(padded, window, mode="same")[width:-width]
 
 
 def _fitted(problem: Problem, start: np.ndarray) -> Problem:
