@@ -100,7 +100,10 @@ def estimate(
         "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
-    odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}
+    odometry: dict[Source, list[Event]] = {
+        "wheels": counter_events(wheels.measurements),
+        "lidar": lidar_events(matches),
+    }
     events = _events(recording, robot, sources, odometry)
     begin, fixes = events[0].stamp, recording.fixes if "fixes" in sources else ()
     pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)

@@ -89,14 +89,14 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
         return now, match
     if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
         return now, match
-    if placed.own is None:
+    own = placed.own
+    if own is None:
         A = se2.adjoint(match.pose)
-        placed = placed._replace(own=A @ match.shared_covariance @ A.T)
-        noise = now.noise.get(match.source, AS_STATED)
-        P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(placed.own, noise.deviations))
-        now = now._replace(P=P, anchors={**now.anchors, match.source: placed})
+        own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, AS_STATED)
+        P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(own, noise.deviations))
+        now = now._replace(P=P, anchors={**now.anchors, match.source: placed._replace(own=own)})
     A = se2.adjoint(se2.inverse(match.pose))
-    return now, replace(match, covariance=_less(match.covariance, A @ placed.own @ A.T), shared_covariance=None)
+    return now, replace(match, covariance=_less(match.covariance, A @ own @ A.T), shared_covariance=None)
 
 
 def _less(C: Float[np.ndarray, "3 3"], shared: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
