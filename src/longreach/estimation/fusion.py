@@ -22,6 +22,7 @@ from longreach.measurement import RelativePoseMeasurement
 
 __all__ = ["Anchor", "Correction", "Event", "FusionState", "Placed", "Snapshot", "Tally", "in_order", "init", "step"]
 
+
 class _Ahead(NamedTuple):
     """A run of stamps too far ahead to be believed."""
 

@@ -106,9 +106,7 @@ def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
     return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
 
 
-def observe_relative_pose(
-    mean: Mean, measurement: RelativePoseMeasurement, anchor: int, at: int = 0
-) -> Observation:
+def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, anchor: int, at: int = 0) -> Observation:
     """z = anchor⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · anchor⁻¹ · X); X is the pose at `at` in the state.
 
     H = Ad(exp(e)) on ξ and -Ad(z⁻¹) on the anchor's error: the derivatives of e at X · exp(-e), where it is 0, with the
