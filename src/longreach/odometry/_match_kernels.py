@@ -11,23 +11,22 @@ import numpy as np
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp
 from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import symmetric_eigen
+from longreach.odometry._match_covariance_kernels import carry_covariance, line_covariance
 from longreach.odometry._pyramid_kernels import _atan_ratio
 
 LineSettings = namedtuple("LineSettings", "iterations gate grazing worst agree known common")
 ROWS = 8  # numbers kept of a matched point
-_SURFACE = 16  # neighbouring rows whose residuals may agree
-_LINE = 32  # rows that share a line at most
 
 
 @kernel
-def line_rows(x, y, r, cos, sin, increment, beams, lines, pose, grazing, rows):
-    """Fill rows (8, m) of the points that fall on a line of the keyframe, and return m.
+def line_rows(x, y, r, cos, sin, increment, beams, lines, pose, grazing, m, rows):
+    """Add rows (8, m) of the points that fall on a line of a reference, and return how many there are then.
 
-    pose (3,): of the laser, seen from the keyframe. beams (n,): which line lies in each direction. A row is the
+    pose (3,): of the laser, seen from the reference. beams (n,): which line lies in each direction. A row is the
     derivative a (3,) of the distance e from the line, e, its weight 1/variance over σ², the share of the keyframe's
     noise in the variance of what is estimated, the lever about the line's direction and the variance of that over σ².
     """
-    n, m = len(r), 0
+    n = len(r)
     px, py, ct, st = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     for u in range(n):
         if r[u] <= 0.0:
@@ -120,29 +119,6 @@ def find_told(rows, m, limit, reach, scale, known, H, V, told):
 
 
 @kernel
-def lean(rows, m, limit, reach, H, V, k, out):
-    """Fill out (3,) with the variance of the angle [rad²] by which V's column k leans to the others: lines' errors.
-
-    Σ w (a · v_l)(a · v_k) is 0 in the eigenbasis; how much it is over blocks of rows tells what it would be elsewhere.
-    """
-    sums = np.zeros(3)
-    out[:] = 0.0
-    for i in range(m):
-        e, w = rows[3, i], rows[4, i]
-        w *= max(1.0 - e * e * w * limit, 0.0)
-        a0, a1, a2 = rows[0, i], rows[1, i], rows[2, i] / reach
-        along = w * (a0 * V[0, k] + a1 * V[1, k] + a2 * V[2, k])
-        for l in range(3):
-            sums[l] += along * (a0 * V[0, l] + a1 * V[1, l] + a2 * V[2, l])
-        if i % _LINE == _LINE - 1 or i == m - 1:
-            for l in range(3):
-                out[l] += sums[l] * sums[l]
-                sums[l] = 0.0
-    for l in range(3):
-        out[l] = out[l] / (H[l, l] * H[l, l]) if l != k else 0.0
-
-
-@kernel
 def pull(gx, gy, gt, pose, doubt, reach, scale, V, out):
     """Fill out (2, 3) with the gradient and the weight, in the basis V, of the pull to the guess (x, y, θ).
 
@@ -162,18 +138,24 @@ def pull(gx, gy, gt, pose, doubt, reach, scale, V, out):
 
 
 @kernel
-def align(x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, doubt, pose, rows, space, H, V, told):
+def align(
+    x, y, r, cos, sin, increment, beams, lines, places, reach, noise, settings, doubt, pose, rows, space, H, V, told
+):
     """Move the laser's pose (3,) until the points lie on the lines; leave H diagonal in its eigenbasis V.
 
+    beams (k, n), lines (k, n, 5), places (k, 3): of k references, and where each laser was, seen from the first one's.
     Along directions that are not told the pose stays where it was put. Returns the rows, the scale of the residuals
     and the sum of the robust weights.
     """
     m, scale, total = 0, 0.0, 0.0
     gx, gy, gt = pose[0], pose[1], pose[2]
-    prior, d = np.empty((2, 3)), np.empty(3)
+    prior, d, seen = np.empty((2, 3)), np.empty(3), np.empty(3)
     told[:] = 1.0
     for iteration in range(settings.iterations):
-        m = line_rows(x, y, r, cos, sin, increment, beams, lines, pose, settings.grazing, rows)
+        m = 0
+        for k in range(len(lines)):
+            seen[0], seen[1], seen[2] = se2_between(places[k, 0], places[k, 1], places[k, 2], pose[0], pose[1], pose[2])
+            m = line_rows(x, y, r, cos, sin, increment, beams[k], lines[k], seen, settings.grazing, m, rows)
         if m < 6:
             return m, 0.0, 0.0
         worst = settings.worst * noise * max(1.0, 10.0 * 0.5**iteration)
@@ -197,117 +179,25 @@ def align(x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, do
     return m, scale, total
 
 
-@kernel(fastmath=True)
-def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
-    """Fill S and shared (3, 3), in the basis V: the covariance of the scores Σ ψ a, and the keyframe's part in it.
-
-    ψ² is what the residuals are, not what they should be. Residuals that agree over `block` neighbouring rows, as those
-    of a surface do that is not straight, do not average out: S grows by as much. Returns how much flatter the cost is
-    than H says, for H counts w where the curvature is that of ψ = e (1 - z): 1 - 3z.
-    """
-    own = np.zeros((3, 3))
-    sums = np.zeros(3)
-    blocks = plain = curvature = total = 0.0
-    for i in range(m):
-        e, w = rows[3, i], rows[4, i]
-        z = e * e * w * limit
-        if z < 1.0:
-            curvature += 1.0 - 3.0 * z
-            total += 1.0 - z
-            psi = w * (1.0 - z) * e
-            a2 = rows[2, i] / reach
-            for k in range(3):
-                scores[k] = psi * (rows[0, i] * V[0, k] + rows[1, i] * V[1, k] + a2 * V[2, k])
-                sums[k] += scores[k]
-            for k in range(3):
-                for l in range(k + 1):
-                    own[k, l] += scores[k] * scores[l]
-                    shared[k, l] += rows[5, i] * scores[k] * scores[l]
-        if i % block == block - 1 or i == m - 1:
-            for k in range(3):
-                blocks += sums[k] * sums[k] / S[k, k]
-                sums[k] = 0.0
-    for k in range(3):
-        plain += (own[k, k] + shared[k, k]) / S[k, k]
-    growth = max(blocks / max(plain, 1e-300), 1.0)
-    for k in range(3):
-        for l in range(k + 1):
-            shared[k, l] *= growth
-            S[k, l] = own[k, l] * growth + shared[k, l]
-            S[l, k], shared[l, k] = S[k, l], shared[k, l]
-    return total / max(curvature, 0.3 * total)
-
-
-@kernel
-def line_covariance(rows, m, scale, reach, settings, H, V, told, free, covariance, shared):
-    """Fill covariance and shared (3, 3) of the laser's ξ: the sandwich H⁻¹ S H⁻¹, wide along what is not told.
-
-    free (3,): variance of x, y [m²] and θ [rad²] where nothing is known. A part `common` of the noise is taken to be
-    common to all beams: it does not average out.
-    """
-    limit = 1.0 / (settings.gate * scale) ** 2
-    S, K = np.zeros((3, 3)), np.zeros((3, 3))
-    for k in range(3):
-        S[k, k] = H[k, k] * H[k, k] if told[k] > 0.0 else 1e300  # sums of scores count by what they move the pose
-    flatness = score_sums(rows, m, limit, reach, V, _SURFACE, np.zeros(3), S, K)
-    units = np.array([1.0, 1.0, 1.0 / reach])
-    bias, angles = settings.common * scale, np.empty(3)
-    for k in range(3):
-        for l in range(3):
-            both = told[k] * told[l] * flatness * flatness / (H[k, k] * H[l, l])
-            S[k, l] *= both
-            K[k, l] *= both
-        S[k, k] += bias * bias
-    for k in range(3):
-        if told[k] > 0.0:
-            continue
-        wide = 0.0
-        for i in range(3):
-            wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
-        S[k, k] += wide
-        lean(rows, m, limit, reach, H, V, k, angles)
-        for l in range(3):
-            S[l, l] += told[l] * wide * angles[l]
-    for i in range(3):
-        for j in range(3):
-            covariance[i, j] = shared[i, j] = 0.0
-            for k in range(3):
-                for l in range(3):
-                    covariance[i, j] += units[i] * V[i, k] * S[k, l] * V[j, l] * units[j]
-                    shared[i, j] += units[i] * V[i, k] * K[k, l] * V[j, l] * units[j]
-
-
-@kernel
-def carry_covariance(adjoint, C, out):
-    """out = Ad C Adᵀ, made symmetric and a little larger than nothing."""
-    for i in range(3):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(3):
-                for l in range(3):
-                    total += adjoint[i, k] * C[k, l] * adjoint[j, l]
-            out[i, j] = out[j, i] = total
-
-
 @kernel
 def match_points(
-    x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, mount, guess, doubt, free,
+    x, y, r, cos, sin, increment, beams, lines, places, reach, noise, settings, mount, guess, doubt, free,
     pose, covariance, shared, told, V,
 ):  # fmt: skip
-    """Match the points of a scan to the lines of a keyframe, starting from a guess (3,) of the base's pose.
+    """Match the points of a scan to the lines of keyframes, starting from a guess (3,) of the base's pose.
 
     mount (3,): the laser in the base. Fills the base's pose (3,) seen from its pose at the keyframe, the covariance and
     its shared part (3, 3), and told (3,): which columns of V, directions of ξ, the scan tells.
     Returns the rows, the scale of the residuals [m], and how many rows agree but for noise.
     """
     n = len(r)
-    rows, space = np.empty((ROWS, n)), np.empty(n)
+    rows, space = np.empty((ROWS, n * len(lines))), np.empty(n * len(lines))
     H, local, common = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
     gx, gy, gt = se2_compose(guess[0], guess[1], guess[2], mount[0], mount[1], mount[2])
     pose[0], pose[1], pose[2] = se2_compose(ix, iy, it, gx, gy, gt)
     m, scale, total = align(
-        x, y, r, cos, sin, increment, beams, lines, reach, noise, settings, doubt, pose, rows, space, H, V, told
+        x, y, r, cos, sin, increment, beams, lines, places, reach, noise, settings, doubt, pose, rows, space, H, V, told
     )
     if m < 6:
         return m, scale, 0.0

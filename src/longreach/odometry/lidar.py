@@ -23,10 +23,11 @@ from longreach.odometry.scan_geometry import (
 )
 from longreach.odometry.scan_match import ScanMatch
 
+_DENSE = 300  # beams; scans of fewer leave gaps on surfaces, which the keyframe before helps to fill
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _FRESH = 0.3  # weight of the last twist in the running mean
 _DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
-_LEAST_SUPPORT = 0.25  # share of points that agree below which there is no match
+_LEAST_SUPPORT = 0.1  # share of points that agree below which there is no match
 _LOST = 2  # scans without a match, after which the next one becomes a keyframe
 
 
@@ -38,7 +39,7 @@ class LidarConfig(BaseModel):
     iterations: int = Field(default=20, ge=1, le=100, description="Linearisations a match at most [1].")
     gate: float = Field(default=4.0, gt=1, description="Residuals beyond this many deviations take no part [1].")
     grazing: float = Field(
-        default=0.1, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
+        default=0.2, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
     )
     worst: float = Field(default=4.0, gt=0, description="Scatter of the residuals at most, in noises of a range [1].")
     doubt: float = Field(default=0.1, gt=0, description="Deviation of a guess [m, rad], and 0.3 of the motion.")
@@ -68,7 +69,7 @@ class LidarConfig(BaseModel):
 class Reference:
     """A keyframe of one kind of scans: when it was, its lines, the last scan, and where that was (3,) seen from it.
 
-    lost: scans since the last match.
+    lost: scans since the last match. before: lines of the keyframe before, and where that was (3,), seen from this.
     """
 
     stamp: float
@@ -77,6 +78,7 @@ class Reference:
     last: Points
     pose: Float[np.ndarray, "3"]
     lost: int = 0
+    before: tuple[Lines, Float[np.ndarray, "3"]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np
         far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
         doubt = config.doubt + 0.3 * np.array([far, far, turned])
         guess = se2.compose(reference.pose, moved)
-        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free)
+        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free, reference.before)
 
     found = from_guess(moved)
     if found.support < _DOUBTFUL and points.count >= _FEWEST_ROWS:
@@ -163,10 +165,8 @@ def _points(
     share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
     motion = np.zeros(3)
     if share > 0.0:
-        if guide is not None and np.isfinite(guide).all():
-            motion = se2.log(guide)
-        else:
-            motion = state.motion[1]
+        known = guide is not None and bool(np.isfinite(guide).all())
+        motion = se2.log(guide) if known and guide is not None else state.motion[1]
         motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
     return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
 
@@ -185,14 +185,24 @@ def _wrong(found: Fit, points: Points) -> str:
 
 
 def _restarted(
-    state: LidarState, scan: LaserScan, geometry: ScanGeometry, points: Points, moved: np.ndarray, place: int | None
+    state: LidarState,
+    scan: LaserScan,
+    geometry: ScanGeometry,
+    points: Points,
+    moved: np.ndarray,
+    place: int | None,
+    found: np.ndarray | None = None,
 ) -> LidarState:
     """Return the state in which this scan is the keyframe of its kind, and the other kinds have moved on."""
     others = tuple(
         replace(known, pose=se2.compose(known.pose, moved)) for i, known in enumerate(state.references) if i != place
     )
-    noise = math.inf if place is None else 1.2 * state.references[place].lines.noise
-    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3))
+    old = None if place is None else state.references[place]
+    noise = math.inf if old is None else 1.2 * old.lines.noise
+    before = None
+    if old is not None and found is not None and geometry.beams < _DENSE:
+        before = (old.lines, se2.inverse(found))
+    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3), 0, before)
     return replace(state, references=(*others, new), stamp=scan.stamp)
 
 
@@ -227,7 +237,7 @@ def _matched(
     last = se2.log(moved)
     motion = np.stack([last, state.motion[1] + _FRESH * (last - state.motion[1])])
     if keyframe:
-        state = _restarted(state, scan, reference.geometry, points, moved, place)
+        state = _restarted(state, scan, reference.geometry, points, moved, place, found.pose)
     else:
         references = tuple(
             replace(known, pose=found.pose, last=points, lost=0)
