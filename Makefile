@@ -8,8 +8,10 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 demo: .venv/.installed
 	$(BIN)/longreach run dual-trajectory --out out/demo
 
+# Kernels are compiled beforehand, once for all processes of the tests.
 # LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
 test: .venv/.installed-dev
+	$(BIN)/longreach warmup
 	$(BIN)/pytest --numprocesses=auto
 
 check: .venv/.installed-dev
