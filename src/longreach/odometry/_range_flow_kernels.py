@@ -251,8 +251,7 @@ def step_scan(
 
     motion (2, 3): the laser's last twist per scan and its running mean, both brought up to date. share: the part of it
     that goes by from beam to beam. Fills the base's pose (3,) and covariance (3, 3), carried from the laser through the
-    planar mount (3,). Returns the rows used on the finest level, 0 where
-    the result is not finite.
+    planar mount (3,). Returns the rows used on the finest level, 0 where the result is not finite.
     """
     n = len(scan)
     ranges = np.empty(n)
@@ -282,10 +281,7 @@ def step_scan(
             for k in range(3):
                 for l in range(3):
                     covariance[i, j] += adjoint[i, k] * local[k, l] * adjoint[j, l]
-    total = pose[0] + pose[1] + pose[2]
-    for i in range(3):
-        total += covariance[i, 0] + covariance[i, 1] + covariance[i, 2]
-    return m if math.isfinite(total) else 0
+    return m if math.isfinite(pose.sum() + covariance.sum()) else 0
 
 
 @kernel
