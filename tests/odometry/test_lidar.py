@@ -151,13 +151,16 @@ def test_beams_without_return_take_no_part(hole, rng):
 
 def test_identical_scans_are_no_motion_with_a_definite_covariance():
     for match in lidar_odometry(scans_along(along(np.zeros(3), 3)), NOWHERE):
-        np.testing.assert_allclose(match.measurement.pose, 0.0, atol=1e-6)
+        np.testing.assert_allclose(match.measurement.pose, 0.0, atol=2e-5)
         assert np.linalg.eigvalsh(match.measurement.covariance).min() > 0
 
 
-def test_two_kinds_of_scans_in_turn_both_give_matches(rng):
+@pytest.mark.parametrize("noisy", [False, True])
+def test_two_kinds_of_scans_in_turn_both_give_matches(noisy, rng):
     poses = along(STEP, 9)
-    scans = [scan_at(pose, 0.1 * i, beams=(360, 500)[i % 2], rng=rng) for i, pose in enumerate(poses)]
+    scans = [
+        scan_at(pose, 0.1 * i, beams=(360, 500)[i % 2], rng=rng if noisy else None) for i, pose in enumerate(poses)
+    ]
     matches = lidar_odometry(scans, NOWHERE)
     assert matches[0].measurement is None
     assert "first of its kind" in matches[0].reason

@@ -19,7 +19,7 @@ from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.scan_geometry import ScanGeometry
 
 _FLOW = RangeFlowConfig().settings  # of guesses
-_SMALLEST_NOISE = 1e-4  # [m]; a scan without noise has lines, too
+_SMALLEST_NOISE = 1e-3  # [m]; the gate of a scan without noise must be wider than the errors of a guess
 
 
 @dataclass(frozen=True, eq=False)
