@@ -1,0 +1,189 @@
+"""LIDAR odometry against keyframes: accuracy, consistency and time on made scans with exact truth, beside the bars.
+
+    python benchmarks/lidar_odometry.py --bench FOLDER [--seeds N] [--sets NAME ...] [--all]
+
+FOLDER holds scan_sim.py, which makes the scans: 60 s each, 270°. ATE: RMSE of the positions after the best rigid
+alignment; yaw: RMS of the heading after the same (still: without, as one place tells no rotation). Both are medians
+over the seeds. NEES: of each match's pose relative to its keyframe, 3 numbers, mean over all seeds (ideal 3). Time:
+processor time a scan, the least of the repeats. Beside it range flow (2016) in the same run. Exit code 1: a bar missed.
+"""
+
+import argparse
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from longreach.evaluation.alignment import rigid_alignment
+from longreach.geometry import se2
+from longreach.measurement import LaserScan
+from longreach.odometry import lidar, range_flow
+from longreach.odometry.chain import chain
+from longreach.odometry.scan_match import ScanMatch
+from longreach.trajectory import PoseTrajectory
+
+REPEATS = 3
+TIME_BARS = {360: 0.15, 1081: 0.40}  # ms, covariance included
+COVERED = 0.99  # share of scans within 3 σ along the corridor (a normal error: 0.997)
+ACROSS, YAW = 0.02, 0.2  # m and ° in the corridor
+
+
+class Set(NamedTuple):
+    """What scan_sim.py is asked for, and the bars: ATE [m] and yaw rms [°]; NaN: none."""
+
+    kind: str
+    beams: int
+    rate: int = 40
+    noise: float = 0.01
+    ate: float = math.nan
+    yaw: float = math.nan
+
+
+SETS = {
+    "fast": Set("fast", 1081, ate=0.0025, yaw=0.04),
+    "slow": Set("slow", 1081, ate=0.0030, yaw=0.02),
+    "slow360": Set("slow", 360, ate=0.0045, yaw=0.03),
+    "fast360": Set("fast", 360, ate=0.010, yaw=0.06),
+    "fast30mm": Set("fast", 1081, noise=0.03, ate=0.011, yaw=0.10),
+    "still": Set("still", 1081, ate=0.001, yaw=0.01),
+    "corridor": Set("corr", 1081),
+}
+MORE = {"fast10hz": Set("fast", 1081, rate=10), "slow10hz": Set("slow", 1081, rate=10)}
+
+
+def made(simulator: Path, s: Set, seed: int) -> tuple[list[LaserScan], np.ndarray, np.ndarray]:
+    """Return the scans of a set, the laser's mount (4, 4), and the true poses (n, 3)."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "scans"
+        numbers = (s.beams, 270, s.rate, 60, s.kind, s.noise, seed)
+        command = [sys.executable, str(simulator), str(out), *map(str, numbers)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        data, truth = out.with_suffix(".bin").read_bytes(), np.load(f"{out}_gt.npy")
+    head = np.frombuffer(data, count=8)
+    rows = np.frombuffer(data, np.dtype([("stamp", "f8"), ("ranges", "f4", (s.beams,))]), offset=64)
+    T = np.eye(4)
+    c, sn = math.cos(head[7]), math.sin(head[7])
+    T[:2, :2], T[:2, 3] = [[c, -sn], [sn, c]], head[5:7]
+    step = float(head[3] - head[2]) / (s.beams - 1)
+    scans = [
+        LaserScan(float(r["stamp"]), r["ranges"].astype(float), float(head[2]), step, range_max=float(head[4]))
+        for r in rows
+    ]
+    return scans, T, truth[:, 1:4].copy()
+
+
+def timed(odometry: Callable, scans: list[LaserScan], T: np.ndarray) -> tuple[tuple[ScanMatch, ...], float]:
+    """Return the matches and the processor time a scan [ms], the least of the repeats."""
+    matches, best = odometry(scans[:20], T), math.inf
+    for _ in range(REPEATS):
+        began = time.process_time()
+        matches = odometry(scans, T)
+        best = min(best, time.process_time() - began)
+    return matches, 1e3 * best / len(scans)
+
+
+def path(matches: tuple[ScanMatch, ...], scans: list[LaserScan]) -> PoseTrajectory:
+    """Chain the matches."""
+    return chain([m.measurement for m in matches if m.measurement], [scan.stamp for scan in scans])
+
+
+def errors(poses: np.ndarray, truth: np.ndarray, still: bool) -> tuple[float, float]:
+    """Return ATE [m] and yaw rms [°]."""
+    motion = rigid_alignment(poses[:, :2], truth[:, :2])
+    off = se2.compose(motion, poses) - truth
+    heading = poses[:, 2] - truth[:, 2] + (0.0 if still else motion[2])
+    heading = np.remainder(heading + np.pi, 2 * np.pi) - np.pi
+    return float(np.sqrt((off[:, :2] ** 2).sum(1).mean())), math.degrees(rms(heading))
+
+
+def rms(e: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(e**2)))
+
+
+def nees(matches: tuple[ScanMatch, ...], scans: list[LaserScan], truth: np.ndarray) -> np.ndarray:
+    """Return the normalised squared error of each match against its keyframe."""
+    row = {scan.stamp: i for i, scan in enumerate(scans)}
+    found = [m.measurement for m in matches if m.measurement]
+    real = se2.between(truth[[row[m.stamp_reference] for m in found]], truth[[row[m.stamp] for m in found]])
+    xi = se2.log(se2.between(np.array([m.pose for m in found]), real))
+    R = np.array([m.covariance for m in found])
+    return np.einsum("ni,ni->n", xi, np.linalg.solve(R, xi[..., None])[..., 0])
+
+
+def corridor(p: PoseTrajectory, truth: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the share within 3 σ along, σ/RMS along, RMS across [m] and of yaw [°]; the corridor runs along x."""
+    assert p.covariance is not None
+    off = (p.poses - truth)[1:]
+    c, s = np.cos(p.poses[1:, 2]), np.sin(p.poses[1:, 2])
+    along = np.stack([c, -s], axis=1)
+    sigma = np.sqrt(np.einsum("ni,nij,nj->n", along, p.covariance[1:, :2, :2], along))
+    share = float(np.mean(np.abs(off[:, 0]) <= 3 * sigma))
+    return share, rms(sigma) / rms(off[:, 0]), rms(off[:, 1]), math.degrees(rms(off[:, 2]))
+
+
+def measure(simulator: Path, name: str, s: Set, seeds: int) -> bool:
+    """Print a set's lines; return whether all its bars are met."""
+    ours, peer, squares, lost, ends = [], [], [], 0, []
+    for seed in range(1, seeds + 1):
+        scans, T, truth = made(simulator, s, seed)
+        matches, took = timed(lidar.lidar_odometry, scans, T)
+        others, took_other = timed(range_flow.lidar_odometry, scans, T)
+        p = path(matches, scans)
+        ours.append((*errors(p.poses, truth, s.kind == "still"), took))
+        peer.append((errors(path(others, scans).poses, truth, s.kind == "still")[0], took_other))
+        squares.append(nees(matches, scans, truth))
+        ends.append(corridor(p, truth) if s.kind == "corr" else ())
+        lost += sum(m.measurement is None for m in matches)
+    ate, yaw, _ = np.median(ours, axis=0)
+    took, took_other = min(o[2] for o in ours), min(o[1] for o in peer)
+    consistency = float(np.concatenate(squares).mean())
+    checks = [("ms a scan", took, 0.0, TIME_BARS[s.beams])]
+    if s.kind == "corr":
+        share, ratio, across, turned = np.median(ends, axis=0)
+        checks += [
+            ("in 3 sigma along", share, COVERED, 1.0),
+            ("across m", across, 0, ACROSS),
+            ("yaw deg", turned, 0, YAW),
+        ]
+        extra = f"sigma/RMS along {ratio:.2f}, ATE {ate:.3f} m, NEES {consistency:.2f}"
+    else:
+        checks += [("ATE m", ate, 0.0, s.ate), ("yaw deg", yaw, 0.0, s.yaw), ("NEES", consistency, 2.0, 4.0)]
+        extra = ""
+    good = True
+    for what, value, low, high in checks:
+        met = low <= value <= high or math.isnan(high)
+        good &= met
+        bar = "none" if math.isnan(high) else f"{low:g} to {high:g}"
+        print(f"{name:9s} {what:17s} {value:9.4f}   bar {bar:12s} {'met' if met else 'MISSED'}")
+    other = float(np.median([o[0] for o in peer]))
+    print(f"{name:9s} range flow: ATE {other:.4f} m ({other / ate:.1f} x ours), {took_other:.3f} ms", end="")
+    print(f" ({took_other / took:.2f} x ours); scans without a match {lost} {extra}", flush=True)
+    return good
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bench", type=Path, default=os.environ.get("LONGREACH_BENCH"))
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--sets", nargs="+", choices=[*SETS, *MORE])
+    parser.add_argument(
+        "--all", action="store_true", help="the sets at 10 Hz, too, which have bars for NEES and time only"
+    )
+    given = parser.parse_args()
+    if given.bench is None:
+        parser.error("give the folder of scan_sim.py by --bench or LONGREACH_BENCH")
+    known = SETS | MORE
+    names = given.sets or (known if given.all else SETS)
+    good = [measure(Path(given.bench) / "scan_sim.py", name, known[name], given.seeds) for name in names]
+    raise SystemExit(0 if all(good) else 1)
+
+
+if __name__ == "__main__":
+    main()
