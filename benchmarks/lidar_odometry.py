@@ -130,42 +130,35 @@ def corridor(p: PoseTrajectory, truth: np.ndarray) -> tuple[float, float, float,
 
 def measure(simulator: Path, name: str, s: Set, seeds: int) -> bool:
     """Print a set's lines; return whether all its bars are met."""
-    ours, peer, squares, lost, ends = [], [], [], 0, []
+    runs, squares, lost = [], [], 0
     for seed in range(1, seeds + 1):
         scans, T, truth = made(simulator, s, seed)
         matches, took = timed(lidar.lidar_odometry, scans, T)
         others, took_other = timed(range_flow.lidar_odometry, scans, T)
-        p = path(matches, scans)
-        ours.append((*errors(p.poses, truth, s.kind == "still"), took))
-        peer.append((errors(path(others, scans).poses, truth, s.kind == "still")[0], took_other))
+        p, still = path(matches, scans), s.kind == "still"
+        flow = errors(path(others, scans).poses, truth, still)[0]
+        runs.append((took, took_other, flow, *errors(p.poses, truth, still), *corridor(p, truth)))
         squares.append(nees(matches, scans, truth))
-        ends.append(corridor(p, truth) if s.kind == "corr" else ())
         lost += sum(m.measurement is None for m in matches)
-    ate, yaw, _ = np.median(ours, axis=0)
-    took, took_other = min(o[2] for o in ours), min(o[1] for o in peer)
-    consistency = float(np.concatenate(squares).mean())
+    _, _, flow, ate, yaw, share, ratio, across, turned = np.median(runs, axis=0)
+    took, took_other = np.min(runs, axis=0)[:2]
+    consistency, corr = float(np.concatenate(squares).mean()), s.kind == "corr"
     checks = [("ms a scan", took, 0.0, TIME_BARS[s.beams])]
-    if s.kind == "corr":
-        share, ratio, across, turned = np.median(ends, axis=0)
+    if corr:
         checks += [
-            ("in 3 sigma along", share, COVERED, 1.0),
+            ("in 3 sigma along", share, COVERED, 1),
             ("across m", across, 0, ACROSS),
             ("yaw deg", turned, 0, YAW),
         ]
-        extra = f"sigma/RMS along {ratio:.2f}, ATE {ate:.3f} m, NEES {consistency:.2f}"
     else:
         checks += [("ATE m", ate, 0.0, s.ate), ("yaw deg", yaw, 0.0, s.yaw), ("NEES", consistency, 2.0, 4.0)]
-        extra = ""
-    good = True
-    for what, value, low, high in checks:
-        met = low <= value <= high or math.isnan(high)
-        good &= met
-        bar = "none" if math.isnan(high) else f"{low:g} to {high:g}"
-        print(f"{name:9s} {what:17s} {value:9.4f}   bar {bar:12s} {'met' if met else 'MISSED'}")
-    other = float(np.median([o[0] for o in peer]))
-    print(f"{name:9s} range flow: ATE {other:.4f} m ({other / ate:.1f} x ours), {took_other:.3f} ms", end="")
-    print(f" ({took_other / took:.2f} x ours); scans without a match {lost} {extra}", flush=True)
-    return good
+    good = [low <= value <= high or math.isnan(high) for _, value, low, high in checks]
+    for met, (what, value, low, high) in zip(good, checks, strict=True):
+        print(f"{name:9s} {what:17s} {value:9.4f}   bar {low:g} to {high:<8g} {'met' if met else 'MISSED'}")
+    extra = f"; sigma/RMS along {ratio:.2f}, ATE {ate:.3f} m, NEES {consistency:.2f}" if corr else ""
+    print(f"{name:9s} range flow: ATE {flow:.4f} m ({flow / ate:.1f} x ours), {took_other:.3f} ms", end="")
+    print(f" ({took_other / took:.2f} x ours); scans without a match: {lost}{extra}", flush=True)
+    return all(good)
 
 
 def main() -> None:
