@@ -35,7 +35,7 @@ def written(tmp_path):
         ("filter: {gate_probability: 2}", "filter.gate_probability is 2: input should be less than 1"),
         ("filter: {history: many}", "filter.history is 'many': input should be a valid number"),
         ("sources: [wheels, sonar]", "sources.1 is 'sonar': input should be 'wheels', 'lidar', 'imu' or 'fixes'"),
-        ("colour: red", "colour is not a key here; there are: sources, wheels, range_flow, filter, evaluation"),
+        ("colour: red", "colour is not a key here; there are: sources, wheels, lidar, range_flow, filter, smooth"),
         ("range_flow: {level: 3}", "range_flow.level is not a key here; there are: levels, iterations"),
         ("range_flow: {levels: 0, lags: -1, x: 1}", r"range_flow.levels is 0.*\(2 more keys are wrong.\)"),
         ("wheels: {twist_variance: [1, 2, -3]}", "wheels.twist_variance.2 is -3: input should be greater than 0"),

@@ -1,4 +1,7 @@
-"""Estimates of real logs, each read and made once, and without the shape checks, which all other tests have."""
+"""Estimates of real logs, each read and made once, and without the shape checks, which all other tests have.
+
+Of the longest logs the first part: all of them takes minutes, and is what benchmarks/recordings.py is for.
+"""
 
 import jaxtyping
 import pytest
@@ -16,9 +19,17 @@ def unchecked(run, *arguments, **options):
         jaxtyping.config.update("jaxtyping_disable", False)
 
 
+SCANS = 3000
+
+
 def read_and_estimate(*arguments, **options):
     run = open_run(*arguments, **options)
-    return estimate(run.recording, run.robot, run.config, truth=run.truth, relations=run.relations)
+    recording = run.recording
+    if len(recording.scans) > SCANS:
+        end = recording.scans[SCANS - 1].stamp
+        parts = {name: tuple(r for r in getattr(recording, name) if r.stamp <= end) for name in ("wheels", "fixes")}
+        recording = recording.replace(scans=recording.scans[:SCANS], **parts)
+    return estimate(recording, run.robot, run.config, truth=run.truth, relations=run.relations)
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +50,7 @@ def estimated(data):
 @pytest.fixture
 def held_by_fixes(data, estimated, monkeypatch):
     """Estimate the Intel log once more, with its corrected poses as positions of 5 cm, one every 5 s at most."""
-    recording = estimated("intel/intel.clf.bz2", "intel").recording
+    recording = estimated("intel/intel.clf.bz2", "intel").recording.replace(fixes=())
     monkeypatch.setattr("longreach.app.inputs.read_recording", lambda *_, **__: recording)  # it was read before
     corrected = data / "intel" / "intel-corrected.log.gz"
     return unchecked(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from real.conftest import SCANS
 
 from longreach.evaluation.relations import summary
 
@@ -13,7 +14,7 @@ def aces(estimated):
 
 def test_every_path_holds_all_scan_stamps(aces):
     assert {name: len(path) for name, path in aces.trajectories.items()} == dict.fromkeys(
-        ("fused", "wheels", "lidar"), 7374
+        ("fused", "wheels", "lidar"), SCANS
     )
 
 

@@ -100,29 +100,34 @@ def estimate(
         "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
-    odometry: dict[Source, list[Event]] = {
-        "wheels": counter_events(wheels.measurements),
-        "lidar": lidar_events(matches),
-    }
+    odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}
     events = _events(recording, robot, sources, odometry)
-    begin, fixes = events[0].stamp, recording.fixes if "fixes" in sources else ()
-    pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
-    start = fusion.init(begin, pose, covariance, config.filter)
+    start = _start(recording, sources, dead_reckoning, events[0].stamp, config)
     state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
 
-    paths = {"fused": _at_rows(fused, recording)}
-    if config.smooth:
-        tell("smoothing", 0.0)
-        paths["smoothed"] = _at_rows(smooth(start, events), recording)
+    back = {"smoothed": _at_rows(smooth(start, events), recording)} if config.smooth else {}
 
     tell("evaluation", 0.0)
-    trajectories = _as_recorded({**paths, **dead_reckoning}, recording)
+    trajectories = _as_recorded({"fused": _at_rows(fused, recording), **back, **dead_reckoning}, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, corrections, _found(matches))
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
     return Estimate(
         recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
     )
+
+
+def _start(
+    recording: Recording,
+    sources: Sequence[Source],
+    dead_reckoning: Mapping[str, PoseTrajectory],
+    begin: float,
+    config: EstimateConfig,
+) -> fusion.FusionState:
+    """Return the filter at its start [s], where fixes put it if there are any."""
+    fixes = recording.fixes if "fixes" in sources else ()
+    pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
+    return fusion.init(begin, pose, covariance, config.filter)
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -184,7 +189,7 @@ def _events(
     recording: Recording,
     robot: RobotDescription,
     sources: Sequence[Source],
-    odometry: Mapping[Source, Sequence[Event]],
+    odometry: Mapping[str, Sequence[Event]],
 ) -> list[Event]:
     """Return what the sources measured, as the filter takes it."""
     events: list[Event] = []
