@@ -74,7 +74,10 @@ def drifting(config: FilterConfig, now: Snapshot, observation: Observation) -> S
     observation: of a pose with its heading in the last row; its innovations are white where the filter is right.
     """
     r, H, R = observation
-    share = r[2] / np.sqrt(H[2] @ now.P @ H[2] + R[2, 2])
+    variance = float(H[2] @ now.P @ H[2] + R[2, 2])
+    if not variance > 0.0:
+        return now
+    share = r[2] / np.sqrt(variance)
     drift = now.drift + _DRIFT_MEMORY * (max(-4.0, min(4.0, float(share))) - now.drift)
     if abs(drift) < _DRIFT_MOST:
         return now._replace(drift=drift)
