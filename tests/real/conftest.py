@@ -48,10 +48,8 @@ def estimated(data):
 
 
 @pytest.fixture
-def held_by_fixes(data, estimated, monkeypatch):
+def held_by_fixes(data):
     """Estimate the Intel log once more, with its corrected poses as positions of 5 cm, one every 5 s at most."""
-    recording = estimated("intel/intel.clf.bz2", "intel").recording.replace(fixes=())
-    monkeypatch.setattr("longreach.app.inputs.read_recording", lambda *_, **__: recording)  # it was read before
     corrected = data / "intel" / "intel-corrected.log.gz"
     return unchecked(
         read_and_estimate,
