@@ -41,3 +41,12 @@ def data() -> Path:
     if not path.is_dir():
         pytest.skip(f"LONGREACH_DATA names {path}, which is not a folder")
     return path
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave out what takes long, unless it is asked for."""
+    if os.environ.get("LONGREACH_LONG"):
+        return
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.skip(reason="LONGREACH_LONG is not set"))

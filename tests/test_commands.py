@@ -67,6 +67,7 @@ def test_every_make_target_and_script_in_the_documents_is_there(path):
     assert not [words for words in commands(path, "python") if not (ROOT / words[0]).is_file()]
 
 
+@pytest.mark.long
 def test_the_readmes_commands_run_and_leave_what_the_documents_say(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ran = []

@@ -19,7 +19,7 @@ def unchecked(run, *arguments, **options):
         jaxtyping.config.update("jaxtyping_disable", False)
 
 
-SCANS = 3000
+SCANS = 2000
 
 
 def read_and_estimate(*arguments, **options):

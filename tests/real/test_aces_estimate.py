@@ -6,6 +6,8 @@ from real.conftest import SCANS
 
 from longreach.evaluation.relations import summary
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def aces(estimated):
