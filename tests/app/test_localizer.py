@@ -47,7 +47,7 @@ def _online(thing, recording, config):
     return state, [*rows, *localizer.settled(state, None)]
 
 
-@pytest.mark.parametrize("sources", [("wheels",), ("wheels", "imu"), ("wheels", "lidar"), ("wheels", "lidar", "imu")])
+@pytest.mark.parametrize("sources", [("wheels", "imu"), ("wheels", "lidar", "imu")])
 def test_online_is_offline(thing, recording, sources):
     config = EstimateConfig(sources=sources, evaluation=EvaluationConfig(align="none"))
     _, rows = _online(thing, recording, config)

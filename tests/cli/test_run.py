@@ -21,6 +21,7 @@ def out(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_the_localisation_experiment_compares_all_sets_of_sensors(out):
     metrics = json.loads((out / "metrics.json").read_text())
     assert list(metrics) == ["fused", "wheels_lidar", "wheels_imu", "wheels", "lidar"]
@@ -29,6 +30,7 @@ def test_the_localisation_experiment_compares_all_sets_of_sensors(out):
     assert {f"{name}.tum" for name in (*metrics, "truth")} | {"recording.mcap", "report.html"} <= names
 
 
+@pytest.mark.long
 def test_its_recording_gives_the_same_estimate_again(out, run, tmp_path):
     again = run("estimate", out / "recording.mcap", "--robot", "thing", "--out", tmp_path)
     assert again.code == 0, again.err
