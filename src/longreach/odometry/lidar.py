@@ -23,7 +23,7 @@ from longreach.odometry.scan_geometry import (
 )
 from longreach.odometry.scan_match import ScanMatch
 
-_DENSE = 300  # beams; scans of fewer leave gaps on surfaces, which the keyframe before helps to fill
+_DENSE = 0  # beams; scans of fewer are matched to the keyframe before, too: better headings, worse positions; off
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _FRESH = 0.3  # weight of the last twist in the running mean
 _DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
