@@ -36,10 +36,10 @@ def test_a_recording_and_a_robot_are_enough(bag):
 
 def test_settings_come_from_a_file_and_sources_from_the_line(bag, tmp_path):
     config = tmp_path / "c.yaml"
-    config.write_text("{sources: [imu], range_flow: {levels: 3}, filter: {gate_mode: none}}")
+    config.write_text("{sources: [imu], lidar: {distance: 0.5}, filter: {gate_mode: none}}")
     run = open_run(bag, "thing", config=config, sources="wheels, lidar")
     assert run.config.sources == ("wheels", "lidar")
-    assert run.config.range_flow.levels == 3
+    assert run.config.lidar.distance == 0.5
     assert run.config.filter.gate_mode == "none"
     assert run.config.filter.model_fields_set == {"gate_mode"}  # the rest still comes from robot and recording
 

@@ -79,7 +79,7 @@ def test_a_log_is_estimated_with_its_own_stamps(run, carmen, tmp_path, name):
 
 
 def test_all_that_can_be_given_is_used(run, bags, tmp_path, made):
-    (tmp_path / "c.yaml").write_text("{range_flow: {levels: 3}, evaluation: {align: none}}")
+    (tmp_path / "c.yaml").write_text("{lidar: {distance: 0.5}, evaluation: {align: none}}")
     write_tum(tmp_path / "truth.tum", made.truth)
     (tmp_path / "a.relations").write_text("0.0 0.5 0 0 0 0 0 0\n")
     options = {
@@ -266,7 +266,7 @@ def test_a_recording_that_is_not_there_is_said(refused, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("range_flow: {level: 3}", "c.yaml: range_flow.level is not a key here; there are: levels, iterations"),
+        ("lidar: {level: 3}", "c.yaml: lidar.level is not a key here; there are: iterations, gate"),
         ("filter: {history: -1}", "c.yaml: filter.history is -1: input should be greater than or equal to 0."),
         ("sources: wheels", "c.yaml: sources is 'wheels': input should be a valid tuple."),
         ("filter: [", "c.yaml, line 1: this is not YAML"),

@@ -31,13 +31,13 @@ def written(tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("range_flow: {levels: 0}", "range_flow.levels is 0: input should be greater than or equal to 1"),
+        ("lidar: {iterations: 0}", "lidar.iterations is 0: input should be greater than or equal to 1"),
         ("filter: {gate_probability: 2}", "filter.gate_probability is 2: input should be less than 1"),
         ("filter: {history: many}", "filter.history is 'many': input should be a valid number"),
         ("sources: [wheels, sonar]", "sources.1 is 'sonar': input should be 'wheels', 'lidar', 'imu' or 'fixes'"),
-        ("colour: red", "colour is not a key here; there are: sources, wheels, lidar, range_flow, filter, smooth"),
-        ("range_flow: {level: 3}", "range_flow.level is not a key here; there are: levels, iterations"),
-        ("range_flow: {levels: 0, lags: -1, x: 1}", r"range_flow.levels is 0.*\(2 more keys are wrong.\)"),
+        ("colour: red", "colour is not a key here; there are: sources, wheels, lidar, filter, smooth, evaluation"),
+        ("lidar: {level: 3}", "lidar.level is not a key here; there are: iterations, gate"),
+        ("lidar: {iterations: 0, gate: -1, x: 1}", r"lidar.iterations is 0.*\(2 more keys are wrong.\)"),
         ("wheels: {twist_variance: [1, 2, -3]}", "wheels.twist_variance.2 is -3: input should be greater than 0"),
         ("- a\n- b", "expected keys and values, found list"),
         ("just words", "expected keys and values, found str 'just words'"),
@@ -78,7 +78,7 @@ def test_an_empty_file_changes_nothing(written, text):
     assert read_config(written(text), EstimateConfig) == EstimateConfig()
 
 
-@pytest.mark.parametrize("changes", [{}, {"sources": ["lidar"], "range_flow": {"levels": 3}, "filter": {"history": 1}}])
+@pytest.mark.parametrize("changes", [{}, {"sources": ["lidar"], "lidar": {"distance": 0.5}, "filter": {"history": 1}}])
 def test_a_configuration_written_down_and_read_again_is_the_same(written, changes):
     config = validated(EstimateConfig, changes, "changes")
     text = to_yaml(config)

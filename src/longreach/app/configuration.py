@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.estimation.filter_config import FilterConfig
 from longreach.measurement import Recording
 from longreach.odometry.lidar import LidarConfig
-from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.wheel import WheelConfig
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import stamp_deviation
@@ -53,7 +52,6 @@ class EstimateConfig(BaseModel):
     )
     wheels: WheelConfig = WheelConfig()
     lidar: LidarConfig = LidarConfig()
-    range_flow: RangeFlowConfig = RangeFlowConfig()
     filter: FilterConfig = FilterConfig(gate_mode="inflate", history=0.0)
     smooth: bool = Field(default=False, description="Whether to look back over the whole run as well: `smoothed`.")
     evaluation: EvaluationConfig = EvaluationConfig()
