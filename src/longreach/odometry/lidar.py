@@ -23,7 +23,6 @@ from longreach.odometry.scan_geometry import (
 )
 from longreach.odometry.scan_match import ScanMatch
 
-_DENSE = 0  # beams; scans of fewer are matched to the keyframe before, too: better headings, worse positions; off
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _FRESH = 0.3  # weight of the last twist in the running mean
 _DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
@@ -69,7 +68,7 @@ class LidarConfig(BaseModel):
 class Reference:
     """A keyframe of one kind of scans: when it was, its lines, the last scan, and where that was (3,) seen from it.
 
-    lost: scans since the last match. before: lines of the keyframe before, and where that was (3,), seen from this.
+    lost: scans since the last match.
     """
 
     stamp: float
@@ -78,7 +77,6 @@ class Reference:
     last: Points
     pose: Float[np.ndarray, "3"]
     lost: int = 0
-    before: tuple[Lines, Float[np.ndarray, "3"]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +136,7 @@ def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np
         far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
         doubt = config.doubt + 0.3 * np.array([far, far, turned])
         guess = se2.compose(reference.pose, moved)
-        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free, reference.before)
+        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free)
 
     found = from_guess(moved)
     if found.support < _DOUBTFUL and points.count >= _FEWEST_ROWS:
@@ -199,10 +197,7 @@ def _restarted(
     )
     old = None if place is None else state.references[place]
     noise = math.inf if old is None else 1.2 * old.lines.noise
-    before = None
-    if old is not None and found is not None and geometry.beams < _DENSE:
-        before = (old.lines, se2.inverse(found))
-    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3), 0, before)
+    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3))
     return replace(state, references=(*others, new), stamp=scan.stamp)
 
 

@@ -92,19 +92,13 @@ def fit(
     guess: Float[np.ndarray, "3"],
     doubt: Float[np.ndarray, "3"],
     free: Float[np.ndarray, "3"],
-    before: tuple[Lines, Float[np.ndarray, "3"]] | None = None,
 ) -> Fit:
     """Match points to the lines of a keyframe, from a guess (3,) of the base's pose.
 
-    before: the keyframe before, too, and where the base was then (3,), seen from this one.
     doubt (3,): deviation of the guess [m, m, rad], weighed against what the scan tells.
     free (3,): the variance of x, y [m²] and θ [rad²] of the guess along directions that the scan does not tell.
     """
     beams, lines, places = key.beams[None], key.lines[None], np.zeros((1, 3))
-    if before is not None:
-        mount = geometry.pose_base_laser
-        beams, lines = np.stack([key.beams, before[0].beams]), np.stack([key.lines, before[0].lines])
-        places = np.stack([np.zeros(3), se2.between(mount, se2.compose(before[1], mount))])
     x, y, r = points.xyr
     pose, covariance, shared = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     told, V = np.empty(3), np.empty((3, 3))
@@ -130,8 +124,7 @@ def fit(
         told,
         V,
     )
-    support = agree / max(min(points.count, key.count) * len(lines), 1)
-    rows = rows // len(lines)
+    support = agree / max(min(points.count, key.count), 1)
     return Fit(pose, covariance, shared, rows, scale, support, _directions(told, V, key.reach, geometry))
 
 
