@@ -189,7 +189,6 @@ def _restarted(
     points: Points,
     moved: np.ndarray,
     place: int | None,
-    found: np.ndarray | None = None,
 ) -> LidarState:
     """Return the state in which this scan is the keyframe of its kind, and the other kinds have moved on."""
     others = tuple(
@@ -232,7 +231,7 @@ def _matched(
     last = se2.log(moved)
     motion = np.stack([last, state.motion[1] + _FRESH * (last - state.motion[1])])
     if keyframe:
-        state = _restarted(state, scan, reference.geometry, points, moved, place, found.pose)
+        state = _restarted(state, scan, reference.geometry, points, moved, place)
     else:
         references = tuple(
             replace(known, pose=found.pose, last=points, lost=0)
