@@ -20,7 +20,6 @@ from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory, monotone_clock
 
 _SINCE_1970 = 1e8  # [s]; a clock that is beyond this counts from 1970
-_TELL_EVERY = 500  # messages
 
 
 @dataclass(eq=False)
@@ -122,13 +121,7 @@ def _read_all(
         for topic in bag.topics:
             if topic.type in TRANSFORMS:
                 taking.setdefault((topic.name, topic.type), []).append(lambda m, _: tree.take(m.transforms))
-    total = sum(topic.count for topic in bag.topics if (topic.name, topic.type) in taking)
-    for i, (name, type, receive_ns, message) in enumerate(bag.messages(taking)):
-        if i % _TELL_EVERY == 0:
-            progress(i / total)
-        for take in taking[name, type]:
-            take(message, receive_ns)
-    progress(1.0)
+    bag.hand_out(taking, progress)
     return tree
 
 

@@ -3,7 +3,7 @@
 Only the definitions of types that are asked for are read, so that a bag with messages nobody knows can be used.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +20,7 @@ from longreach.io.formats import recording_format
 
 _IDL = "=" * 80 + "\nIDL: "
 _HEADER = "std_msgs/msg/Header"
+_TELL_EVERY = 500  # messages
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,18 @@ class BagFile:
                 store = stores[type]
                 message = store.deserialize_ros1(raw, type) if self._is_ros1 else store.deserialize_cdr(raw, type)
                 yield name, type, receive_ns, message
+
+    def hand_out(
+        self, taking: Mapping[tuple[str, str], Sequence[Callable[[Any, int], None]]], progress: Callable[[float], None]
+    ) -> None:
+        """Give each message and its time of recording [ns] to all who take its (name, type), in the order of time."""
+        total = sum(topic.count for topic in self.topics if (topic.name, topic.type) in taking)
+        for i, (name, type, receive_ns, message) in enumerate(self.messages(taking)):
+            if i % _TELL_EVERY == 0:
+                progress(i / total)
+            for take in taking[name, type]:
+                take(message, receive_ns)
+        progress(1.0)
 
     def header_reader(self, type: str) -> Callable[[bytes], int] | None:
         """Return what finds the header's stamp in a message's bytes, or None where the type has no header."""

@@ -31,7 +31,6 @@ _TYPES = {
     "twist": "geometry_msgs/msg/TwistWithCovarianceStamped",
     "imu": "sensor_msgs/msg/Imu",
 }
-_TELL_EVERY = 500  # messages
 
 
 def read_spatial_recording(
@@ -136,13 +135,7 @@ def _read_all(
     for topic in bag.topics:
         if topic.type in TRANSFORMS:
             taking.setdefault((topic.name, topic.type), []).append(lambda m, _: tree.take(m.transforms))
-    total = sum(topic.count for topic in bag.topics if (topic.name, topic.type) in taking)
-    for i, (name, type, receive_ns, message) in enumerate(bag.messages(taking)):
-        if i % _TELL_EVERY == 0:
-            progress(i / total)
-        for each in taking[name, type]:
-            each(message, receive_ns)
-    progress(1.0)
+    bag.hand_out(taking, progress)
     empty = [
         f"No message of {chosen[name].name} says anything of what {name} fuses." for name in counts if not counts[name]
     ]
