@@ -99,7 +99,7 @@ def test_all_that_can_be_given_is_used(run, bags, tmp_path, made):
     assert {"ate_rmse", "relations_5s_translation_mean", "nis_fixes_mean"} <= set(fused)
     assert "nis_imu_mean" not in fused
     assert fused["nis_fixes_rows"]["value"] == 3
-    assert "levels: 3" in (tmp_path / "out" / "config.yaml").read_text()
+    assert "distance: 0.5" in (tmp_path / "out" / "config.yaml").read_text()
 
 
 def test_a_topic_is_the_truth(run, bags, tmp_path):
