@@ -1,0 +1,1 @@
+"""A robot that speaks ROS 1."""

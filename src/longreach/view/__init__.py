@@ -1,0 +1,1 @@
+"""A page to watch a robot, live or recorded, and to command it."""
