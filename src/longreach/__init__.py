@@ -37,6 +37,8 @@ _PUBLIC = {
     "plan": "longreach.planning.planner",
     "thesis_problem": "longreach.planning.thesis_problem",
     "solve_priority": "longreach.planning.task_priority",
+    "connect": "longreach.live.client",
+    "lookup": "longreach.live.client",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

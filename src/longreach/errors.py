@@ -27,3 +27,7 @@ class ModelError(LongreachError):
 
 class ControlError(LongreachError):
     """A command, a controller or its input cannot be used."""
+
+
+class LiveError(LongreachError):
+    """A robot at the other end of a network cannot be reached, refuses a command, or was stopped."""

@@ -1,0 +1,37 @@
+"""What a robot says of itself, tick by tick."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, eq=False)
+class LiveState:
+    """The newest of everything at one tick of the robot's loop; `stamp` [s] is on the robot's clock.
+
+    q (n,): base first, in map: where the robot thinks it is [m, m, rad, rad …]; q[:3] is the pose of the estimate.
+    velocity (n,): its body twist [v_x, v_y, ω], then the arm's joints [rad/s].
+    covariance (3, 3): of the error ξ of the base's pose, in its own frame.
+    wheels (3,): where the wheels alone say it is (the frame odom is placed by it: map → odom → base_link).
+    truth (3,), truth_arm (m,): where it really is, where that is known, else None.
+    reference (n,): where the plan is now; q where no plan runs.
+    progress: how much of the plan is done, 0 to 1. goal: what it does: hold, direct, reach or follow.
+    loop_time [s]: what the last tick computed. stop: why the safety gate stops the robot, empty where it does not;
+    latched: whether it stays so until `reset`. holder: the name of the client that commands it, empty where none does.
+    """
+
+    stamp: float
+    q: Float[np.ndarray, " n"]
+    velocity: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "3 3"]
+    wheels: Float[np.ndarray, "3"]
+    truth: Float[np.ndarray, "3"] | None
+    truth_arm: Float[np.ndarray, " m"] | None
+    reference: Float[np.ndarray, " n"]
+    progress: float = 0.0
+    goal: str = "hold"
+    loop_time: float = 0.0
+    stop: str = ""
+    latched: bool = False
+    holder: str = ""
