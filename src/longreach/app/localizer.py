@@ -52,6 +52,7 @@ class LocalizerState:
     filter: FusionState
     start: float
     lidar: LidarState
+    T_base_imu: Float[np.ndarray, "4 4"]
     trust: Trust = _UNTRIED
     match: ScanMatch | None = None
     wheels: tuple[Wheels, ...] = ()
@@ -77,7 +78,8 @@ def init(
     led = {} if "led_by_counter" in config.filter.model_fields_set else {"led_by_counter": (True, True, not gyro)}
     chosen = chosen.model_copy(update={"history": _HISTORY, **led})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
-    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp, matcher)
+    T_base_imu = sensor_mount(_NOTHING, robot, "imu")
+    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp, matcher, T_base_imu)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -91,11 +93,10 @@ def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, lis
     """Take all that was read; what no source can use is refused by the filter, which says so."""
     sources = state.config.sources or ("wheels", "lidar", "imu")
     events: list[Event] = []
-    if "imu" in sources and state.robot.imu is not None:
+    if "imu" in sources and state.robot.imu is not None and readings.imu:
         noise = state.robot.imu
-        T = sensor_mount(_NOTHING, state.robot, "imu")
         R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
-        events += [planar_imu(imu, T, *R) for imu in readings.imu]
+        events += [planar_imu(imu, state.T_base_imu, *R) for imu in readings.imu]
     if "wheels" in sources and readings.wheels:
         state, measured = _wheels(state, readings.wheels)
         events += measured
@@ -103,11 +104,7 @@ def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, lis
         for scan in readings.scans:
             state, measured = _lidar(state, scan)
             events += measured
-    corrections = []
-    fused = state.filter
-    for event in fusion.in_order(events):
-        fused, correction = fusion.step(fused, event)
-        corrections.append(correction)
+    fused, corrections = fusion.steps(state.filter, events)
     return replace(state, filter=fused), corrections
 
 
@@ -126,8 +123,8 @@ def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[Localiz
     """Turn new wheel records into steps of their counter, each seen with the records before it."""
     known = state.wheels[-1].stamp if state.wheels else -np.inf
     window = (*state.wheels, *(record for record in records if record.stamp > known))
-    found = wheel_odometry(window, state.robot, state.config.wheels).measurements
-    new = tuple(step for step in found if step.stamp > known and step.stamp_reference >= state.start)
+    found = wheel_odometry(window, state.robot, state.config.wheels, known).measurements
+    new = tuple(step for step in found if step.stamp_reference >= state.start)
     events = counter_events(new, state.carried_to)
     carried_to = state.carried_to
     if new:

@@ -141,7 +141,8 @@ def _arm(state: TrackerState, readings: Readings) -> np.ndarray:
             q = record.position[where]
             ahead = readings.stamp - record.stamp
             if len(record.velocity) == len(record.names) and 0.0 < ahead < 0.1:
-                q = q + ahead * np.nan_to_num(record.velocity[where])
+                velocity = record.velocity[where]
+                q = q + ahead * np.where(np.isfinite(velocity), velocity, 0.0)
             return q
     return state.arm + state.gate.velocity * (readings.stamp - state.stamp)
 

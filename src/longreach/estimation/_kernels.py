@@ -233,6 +233,28 @@ def _innovation_parts(P, H):
 
 
 @kernel
+def innovation_covariance(P, H, R):
+    """H P Hᵀ + R."""
+    return _innovation_parts(P, H)[1] + R
+
+
+@kernel
+def is_definite(S):
+    """Tell whether S is positive definite."""
+    return _cholesky(S, np.empty(S.shape))
+
+
+@kernel
+def squared_norm(S, r):
+    """rᵀ S⁻¹ r, or 0 where S is not positive definite."""
+    L, x = np.empty(S.shape), np.empty(len(r))
+    if not _cholesky(S, L):
+        return 0.0
+    _solve(L, r, x)
+    return np.sum(r * x)
+
+
+@kernel
 def _joseph(P, K, H, R, scale):
     """(I - K H) P (I - K H)ᵀ + K (scale R) Kᵀ."""
     n, k = K.shape

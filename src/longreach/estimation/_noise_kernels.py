@@ -1,5 +1,7 @@
 """Compiled likelihood of an innovation's covariance, and how it changes with factors on parts of it."""
 
+import math
+
 import numpy as np
 
 from longreach.estimation._kernels import _cholesky, _solve
@@ -39,4 +41,43 @@ def score(S, r, parts, most, slope, information):
                 for j in range(k):
                     shared += inverse_parts[p, i, j] * inverse_parts[other, j, i]
             information[p] += 0.5 * abs(shared)
+    return True
+
+
+@kernel
+def parts_of(R, blocks, parts):
+    """Fill parts (2, k, k), the derivatives of D R D over the logarithms of two factors; blocks (k,): whose each is."""
+    k = len(R)
+    for block in range(2):
+        for i in range(k):
+            for j in range(k):
+                parts[block, i, j] = 0.5 * ((blocks[i] == block) + (blocks[j] == block)) * R[i, j]
+
+
+@kernel
+def learn(S, r, own, seen, added, most, memory, lowest, highest, log, information, deviations):
+    """Move log (m, 2) by the score over the information, both gathered; fill deviations (m, 3).
+
+    own (2, k, k): parts of S of the first of m noises; added (m - 1, 2, 3, 3): of the others, of which r sees `seen`
+    (k, 3). lowest (m,), highest: bounds of log. Returns whether S is positive definite, else nothing is done.
+    """
+    k, m = len(r), len(log)
+    parts, slope, new = np.zeros((2 * m, k, k)), np.empty(2 * m), np.empty(2 * m)
+    parts[:2] = own
+    for n in range(m - 1):
+        for block in range(2):
+            for i in range(k):
+                for j in range(k):
+                    for a in range(3):
+                        for b in range(3):
+                            parts[2 + 2 * n + block, i, j] += seen[i, a] * added[n, block, a, b] * seen[j, b]
+    if not score(S, r, parts, most, slope, new):
+        return False
+    for n in range(m):
+        for block in range(2):
+            gathered = min(information[n, block] + new[2 * n + block], memory)
+            moved = log[n, block] + slope[2 * n + block] / gathered
+            log[n, block], information[n, block] = max(lowest[n], min(highest, moved)), gathered
+        deviations[n, 0] = deviations[n, 1] = math.exp(0.5 * log[n, 0])
+        deviations[n, 2] = math.exp(0.5 * log[n, 1])
     return True

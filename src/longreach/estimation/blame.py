@@ -1,8 +1,11 @@
 """Who is wrong, where a measurement is beyond what was believed: the source, the wheels' steps, or the belief."""
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 
-from longreach.estimation import ekf
+from longreach.estimation import _kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.observation import Measurement, Observation
 from longreach.estimation.snapshot import Doubt, Snapshot
@@ -15,24 +18,29 @@ _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since ano
 
 
 def blamed(
-    config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation, gate: float, at: int
+    config: FilterConfig,
+    now: Snapshot,
+    measurement: Measurement,
+    observation: Observation,
+    S: np.ndarray,
+    gate: float,
+    at: int,
 ) -> Snapshot:
     """Where an innovation is beyond the gate, say what may be wrong with what was believed, before the source is.
 
     First the steps of counters: wheels slip, by ten times what their steps are usually wrong by. Where that does not
     do, and a source says again and again that the pose is off by the same, it has been moved: then the source is right.
+    S (k, k): of the innovation.
     """
-    (r, H, R), source = observation, measurement.source
-    S = H @ now.P @ H.T + R
-    nis = float(r @ np.linalg.solve(S, r)) if np.all(np.isfinite(S)) else 0.0
-    doubts = {name: doubt for name, doubt in now.doubts.items() if name != source}
-    if not (nis > gate and isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)):
-        return now._replace(doubts=doubts) if source in now.doubts else now
+    (r, H, _), source = observation, measurement.source
+    if not (isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and _kernels.squared_norm(S, r) > gate):
+        return now._replace(doubts=_without(now.doubts, source)) if source in now.doubts else now
+    doubts = _without(now.doubts, source)
     for counter, added in now.steps.items():
         M, Q = _moving(now, counter, source, at), np.sum(added, axis=0)
         HM = H @ M
         for s in _SLIPS:
-            if r @ np.linalg.solve(S + s * HM @ Q @ HM.T, r) <= gate:
+            if _kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
                 return now._replace(P=loosened(now.P, M, s * Q), doubts=doubts)
     if source in now.steps:
         return now
@@ -68,16 +76,18 @@ def loosened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
     return P
 
 
-def drifting(config: FilterConfig, now: Snapshot, observation: Observation) -> Snapshot:
+def _without(doubts: Mapping[str, Doubt], source: str) -> dict[str, Doubt]:
+    return {name: doubt for name, doubt in doubts.items() if name != source}
+
+
+def drifting(config: FilterConfig, now: Snapshot, innovation: float, variance: float) -> Snapshot:
     """Where headings are off to one side again and again, let the gyro's bias have jumped.
 
-    observation: of a pose with its heading in the last row; its innovations are white where the filter is right.
+    innovation [rad]: of a heading, N(0, variance) and white where the filter is right.
     """
-    r, H, R = observation
-    variance = float(H[2] @ now.P @ H[2] + R[2, 2])
     if not variance > 0.0:
         return now
-    share = r[2] / np.sqrt(variance)
+    share = innovation / math.sqrt(variance)
     drift = now.drift + _DRIFT_MEMORY * (max(-4.0, min(4.0, float(share))) - now.drift)
     if abs(drift) < _DRIFT_MOST:
         return now._replace(drift=drift)

@@ -73,6 +73,18 @@ def correct(
     return Corrected(*_read_only(new, covariance), nis, scale)
 
 
+def innovation_covariance(
+    P: Covariance, H: Float[np.ndarray, "k n"], R: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "k k"]:
+    """Return S = H P Hᵀ + R."""
+    return _kernels.innovation_covariance(P, H, R)
+
+
+def is_definite(S: Float[np.ndarray, "k k"]) -> bool:
+    """Tell whether S is positive definite."""
+    return _kernels.is_definite(S)
+
+
 def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
     """Remember the pose as the anchor of that number, in place of what it held; the next free number adds one."""
     return _read_only(*_anchor_kernels.clone(mean, P, anchor))

@@ -6,7 +6,8 @@ What one event does: `update.take`.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from heapq import merge
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,19 @@ from longreach.estimation.snapshot import Anchor, Correction, Event, Placed, Sna
 from longreach.estimation.update import take
 from longreach.measurement import RelativePoseMeasurement
 
-__all__ = ["Anchor", "Correction", "Event", "FusionState", "Placed", "Snapshot", "Tally", "in_order", "init", "step"]
+__all__ = [
+    "Anchor",
+    "Correction",
+    "Event",
+    "FusionState",
+    "Placed",
+    "Snapshot",
+    "Tally",
+    "in_order",
+    "init",
+    "step",
+    "steps",
+]
 
 
 class _Ahead(NamedTuple):
@@ -69,7 +82,10 @@ def _belief(stamp: float, mean: np.ndarray, P: np.ndarray) -> Belief:
     return Belief(stamp, mean[:3], mean[3:6], mean[6:9], float(mean[9]), P[:10, :10])
 
 
-def _key(event: Event) -> tuple[float, int, str]:
+_Key = tuple[float, int, str]
+
+
+def _key(event: Event) -> _Key:
     """Order of events at one stamp: a counter's step first, which tells the others where to look.
 
     An anchor comes last, so that what refers to the former anchor still finds it.
@@ -117,45 +133,60 @@ def init(
 
 def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:
     """Take one measurement or anchor, in the order of stamps or up to `history` seconds late."""
-    reason, ahead = _at_the_door(state, event.stamp)
-    if reason:
-        turned_away = {**state.turned_away, event.source: state.turned_away.get(event.source, 0) + 1}
-        return replace(state, turned_away=turned_away, ahead=ahead), Correction(
-            event.stamp, event.source, "refused", reason
-        )
-    history, key = state.history, _key(event)
-    place = len(history)
-    while place > 1 and history[place - 1].key > key:
-        place -= 1
-    snapshot, correction = take(state.config, history[place - 1], key, event)
-    if place == len(history):
-        history = (*history, snapshot)
-    else:
-        retaken = [*history[:place], snapshot]
-        for later in history[place:]:
-            assert later.event is not None
-            retaken.append(take(state.config, retaken[-1], later.key, later.event)[0])
-        history = tuple(retaken)
-    oldest = history[-1].key[0] - state.config.history
-    first = 0
+    state, corrections = steps(state, [event])
+    return state, corrections[0]
+
+
+def steps(state: FusionState, events: Iterable[Event]) -> tuple[FusionState, list[Correction]]:
+    """Take several at once, with the result of `step` one after the other in order; what comes after is retaken once.
+
+    The corrections are in the events' order, `in_order`.
+    """
+    ordered = in_order(events)
+    if not ordered:
+        return state, []
+    config, turned_away, ahead, newest = state.config, state.turned_away, state.ahead, state.stamp
+    corrections: list[Correction] = []
+    taken: list[tuple[_Key, Event, int]] = []  # and the place of its correction
+    for event in ordered:
+        reason, ahead = _at_the_door(config, newest, state.history[0].key[0], ahead, event.stamp)
+        corrections.append(Correction(event.stamp, event.source, "refused", reason))
+        if reason:
+            turned_away = {**turned_away, event.source: turned_away.get(event.source, 0) + 1}
+        else:
+            taken.append((_key(event), event, len(corrections) - 1))
+            newest = max(newest, event.stamp)
+    history = list(state.history)
+    if taken:
+        later: list[tuple[_Key, Event | None, int]] = []
+        while len(history) > 1 and history[-1].key > taken[0][0]:
+            snapshot = history.pop()
+            later.append((snapshot.key, snapshot.event, -1))
+        for key, event, place in merge(later[::-1], taken, key=lambda entry: entry[0]):
+            assert event is not None
+            snapshot, correction = take(config, history[-1], key, event)
+            history.append(snapshot)
+            if place >= 0:
+                corrections[place] = correction
+    oldest, first = history[-1].key[0] - config.history, 0
     while first + 1 < len(history) and history[first + 1].key[0] <= oldest:
         first += 1
-    return FusionState(state.config, history[first:], state.turned_away, ahead), correction
+    return FusionState(config, tuple(history[first:]), turned_away, ahead), corrections
 
 
-def _at_the_door(state: FusionState, stamp: float) -> tuple[str, _Ahead | None]:
+def _at_the_door(
+    config: FilterConfig, newest: float, oldest: float, ahead: _Ahead | None, stamp: float
+) -> tuple[str, _Ahead | None]:
     """Why an event at this stamp cannot be taken ("": it can), and the run of stamps too far ahead that goes on.
 
     One wrong clock must not carry the filter off, a real gap must not stop it: so a far stamp is believed only after
     `gate_patience` others and `history` seconds of them, with nothing nearer in between.
     """
-    config = state.config
-    lead = stamp - state.stamp
-    if lead < -config.history or stamp < state.history[0].key[0]:
-        return f"too late: {-lead:.3f} s behind, the history goes back {config.history:g} s", state.ahead
+    lead = stamp - newest
+    if lead < -config.history or stamp < oldest:
+        return f"too late: {-lead:.3f} s behind, the history goes back {config.history:g} s", ahead
     if lead <= config.longest_prediction:
         return "", None
-    ahead = state.ahead
     if ahead is None or abs(stamp - ahead.newest) > config.longest_prediction:
         ahead = _Ahead(stamp, stamp, 0)
     ahead = _Ahead(ahead.first, max(stamp, ahead.newest), ahead.length + 1)

@@ -19,22 +19,21 @@ from jaxtyping import Float, Int
 
 from longreach.estimation import _noise_kernels
 
-_MOST = 25.0  # what a stated variance may be too small by
+_HIGHEST = math.log(25.0)  # what a stated variance may be too small by
 LEAST = 0.25  # and too large by, of a counter
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
 _OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
 
 class Noise(NamedTuple):
-    """Logarithms of the factors on translations and on turns (2,), and the information gathered about them (2,)."""
+    """Logarithms of the factors on translations and on turns (2,), and the information gathered about them (2,).
+
+    deviations (3,): what the factors make of the standard deviations of x, y and θ.
+    """
 
     log: Float[np.ndarray, "2"] = np.zeros(2)
     information: Float[np.ndarray, "2"] = np.full(2, _FIRST)
-
-    @property
-    def deviations(self) -> Float[np.ndarray, "3"]:
-        """Factors (3,) on the standard deviations of x, y and θ."""
-        return np.exp(0.5 * self.log)[[0, 0, 1]]
+    deviations: Float[np.ndarray, "3"] = np.ones(3)
 
 
 AS_STATED = Noise()
@@ -42,31 +41,34 @@ AS_STATED = Noise()
 
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """Return D R D."""
-    return covariance * np.outer(deviations, deviations)
+    return covariance * (deviations[:, None] * deviations)
 
 
 def parts_of(R: Float[np.ndarray, "k k"], blocks: Int[np.ndarray, " k"]) -> Float[np.ndarray, "2 k k"]:
     """Return the derivatives of D R D over the logarithms of the two factors at R; blocks: 0 translation, 1 turn."""
-    E = np.array([blocks == 0, blocks == 1], dtype=float)
-    return 0.5 * (E[:, :, None] + E[:, None, :]) * R
+    parts = np.empty((2, *R.shape))
+    _noise_kernels.parts_of(R, blocks, parts)
+    return parts
 
 
 def learned(
-    noises: tuple[Noise, ...],
+    noises: Sequence[Noise],
     S: Float[np.ndarray, "k k"],
     r: Float[np.ndarray, " k"],
-    parts: Float[np.ndarray, "m k k"],
+    own: Float[np.ndarray, "2 k k"],
+    seen: Float[np.ndarray, "k 3"],
+    added: Float[np.ndarray, "c 2 3 3"],
     memory: float,
     least: Sequence[float],
-) -> tuple[Noise, ...]:
-    """Return the factors after an innovation r ~ N(0, S); parts: two of S for each noise, least: their bounds."""
-    slope, information = np.empty(len(parts)), np.empty(len(parts))
-    if not _noise_kernels.score(S, r, parts, _OUTLIER * len(r), slope, information):
-        return noises
-    after = []
-    for i, noise in enumerate(noises):
-        g, new = slope[2 * i : 2 * i + 2], information[2 * i : 2 * i + 2]
-        gathered = np.minimum(noise.information + new, memory)
-        log = np.clip(noise.log + g / gathered, math.log(least[i]), math.log(_MOST))
-        after.append(Noise(log, gathered))
-    return tuple(after)
+) -> list[Noise]:
+    """Return the factors after an innovation r ~ N(0, S); least: the smallest that each may be.
+
+    own: the `parts_of` S that are the first noise's. added: those of the others, in a pose of which r sees `seen`.
+    """
+    log, information = np.array([noise.log for noise in noises]), np.array([noise.information for noise in noises])
+    deviations, lowest = np.empty((len(noises), 3)), np.log(least)
+    if not _noise_kernels.learn(
+        S, r, own, seen, added, _OUTLIER * len(r), memory, lowest, _HIGHEST, log, information, deviations
+    ):
+        return list(noises)
+    return [Noise(*rows) for rows in zip(log, information, deviations, strict=True)]

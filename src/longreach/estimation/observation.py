@@ -150,14 +150,20 @@ _FAULTS = (
 )
 
 
+_BLOCKS_OF_POSE, _BLOCKS_OF_IMU = np.array([0, 0, 1]), np.array([1, 0, 0])
+
+
 def blocks_of(measurement: Measurement) -> Int[np.ndarray, " k"]:
     """Tell of each measured component whether it is a translation (0) or a turn (1)."""
     if isinstance(measurement, PlanarImu):
-        variances = [measurement.rate_variance, np.inf, np.inf]
-        if measurement.acceleration_covariance is not None:
-            variances[1:] = np.diag(measurement.acceleration_covariance)
-        return np.array([1, 0, 0])[np.array(variances) != np.inf]
-    return np.array([0, 0, 1])[np.diag(measurement.covariance) != np.inf]
+        if measurement.acceleration_covariance is None:
+            return _BLOCKS_OF_IMU[:1] if measurement.rate_variance != math.inf else _BLOCKS_OF_IMU[:0]
+        C, blocks, first = measurement.acceleration_covariance, _BLOCKS_OF_IMU, measurement.rate_variance
+        infinite = [first == math.inf, C[0, 0] == math.inf, C[1, 1] == math.inf]
+    else:
+        C, blocks = measurement.covariance, _BLOCKS_OF_POSE
+        infinite = [C[0, 0] == math.inf, C[1, 1] == math.inf, C[2, 2] == math.inf]
+    return blocks[~np.array(infinite)] if any(infinite) else blocks
 
 
 def observe(mean: Mean, measurement: Any, anchor: int | None = None, at: int = 0) -> tuple[Observation, str]:

@@ -30,6 +30,7 @@ _OWN = 0.05  # at least this part of a match's variance is its own
 # keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
 _SAME = 0.7
 _ROWS = np.array([0, 0, 1])  # translations and turn
+_NOTHING_ADDED = np.zeros((2, 3, 3))
 
 
 def take(
@@ -101,6 +102,8 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
 
 def _less(C: Float[np.ndarray, "3 3"], shared: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """Return C - shared, but in every direction at least the part `_OWN` of C."""
+    if ekf.is_definite((1.0 - _OWN) * C - shared):
+        return C - shared
     scale = np.sqrt(np.diag(C))
     try:
         L = scale[:, None] * np.linalg.cholesky(C / np.outer(scale, scale))
@@ -135,7 +138,7 @@ def _carried(
     Q = scaled(step.covariance, noise.deviations)
     mean, P, T = ekf.carry(config.counter, now.mean, now.P, placed.number, step.pose, Q)
     A, told = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
-    steps = {**now.steps, step.source: A @ now.steps.get(step.source, np.zeros((2, 3, 3))) @ A.T + told}
+    steps = {**now.steps, step.source: A @ now.steps.get(step.source, _NOTHING_ADDED) @ A.T + told}
     anchors = {**now.anchors, step.source: placed._replace(stamp=step.stamp)}
     at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
     return _linked(now, lambda: T)._replace(mean=mean, P=P, anchors=anchors, steps=steps), at_anchor
@@ -170,14 +173,17 @@ def _corrected(
     r, H, R = observation.innovation, observation.H, scaled(observation.R, noise.deviations[2 * blocks])
     k = len(r)
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
-    now = blamed(config, now, measurement, Observation(r, H, R), gate, at)
+    S, judged = ekf.innovation_covariance(now.P, H, R), now
+    now = blamed(config, now, measurement, Observation(r, H, R), S, gate, at)
     if k == 3 and isinstance(measurement, RelativePoseMeasurement) and source not in now.steps and gate < np.inf:
-        now = drifting(config, now, Observation(r, H, R))
+        now = drifting(config, now, r[2], S[2, 2] if now.P is judged.P else float(H[2] @ now.P @ H[2] + R[2, 2]))
+    if now.P is not judged.P:
+        S = ekf.innovation_covariance(now.P, H, R)
     mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate)
     if nis == np.inf:
         return refused("its innovation has no positive definite covariance")
     if config.noise_memory > 0.0 and at == 0:
-        now = _learned(config, now, measurement, Observation(r, H, R))
+        now = _learned(config, now, measurement, Observation(r, H, R), blocks, S)
     status, reason, tally = _judged(tally, nis, gate, scale)
     if now.links is not None and scale > 0.0:
         now = now._replace(links=(*now.links, Link(*ekf.correction_map(now.mean, now.P, r, H, scale * R))))
@@ -196,18 +202,25 @@ def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Litera
     return "used", reason, Tally(used + 1, inflated + 1, gated, refused, streak + 1)
 
 
-def _learned(config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation) -> Snapshot:
+def _learned(
+    config: FilterConfig,
+    now: Snapshot,
+    measurement: Measurement,
+    observation: Observation,
+    blocks: np.ndarray,
+    S: np.ndarray,
+) -> Snapshot:
     """Learn from an innovation about its source's noise; from one that tells the pose, also about counters' steps."""
-    (r, H, R), source = observation, measurement.source
-    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and source not in now.steps
-    names, parts, steps = [source], [parts_of(R, blocks_of(measurement))], now.steps
+    (r, H, R), source, steps = observation, measurement.source, now.steps
+    is_counter = source in steps
+    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and not is_counter
+    counters = list(steps) if tells_pose else []
+    names = [source, *(steps_of(counter) for counter in counters)]
+    noises = [now.noise.get(name, AS_STATED) for name in names]
+    least = [LEAST if is_counter else 1.0] + [LEAST] * len(counters)
+    added = np.array([steps[counter] for counter in counters]).reshape(-1, 2, 3, 3)
+    seen = H[:, :3] * config.counter.led
+    after = learned(noises, S, r, parts_of(R, blocks), seen, added, config.noise_memory, least)
     if tells_pose:
-        for counter, added in now.steps.items():
-            names.append(steps_of(counter))
-            led = H[:, :3] * config.counter.led
-            parts.append(led @ added @ led.T)
-        steps = dict.fromkeys(now.steps, np.zeros((2, 3, 3)))
-    noises = tuple(now.noise.get(name, AS_STATED) for name in names)
-    least = [LEAST if name != source or source in now.steps else 1.0 for name in names]
-    after = learned(noises, H @ now.P @ H.T + R, r, np.concatenate(parts), config.noise_memory, least)
+        steps = dict.fromkeys(steps, _NOTHING_ADDED)
     return now._replace(noise={**now.noise, **dict(zip(names, after, strict=True))}, steps=steps)

@@ -14,7 +14,10 @@ Tangent = Float[np.ndarray, "*batch 3"]
 
 
 def _rows(*arrays: np.ndarray) -> tuple[list[np.ndarray], tuple[int, ...]]:
-    shape = np.broadcast_shapes(*(np.shape(a) for a in arrays))
+    shapes = {np.shape(a) for a in arrays}
+    if len(shapes) == 1:
+        return [np.array(a, dtype=float, order="C").reshape(-1, 3) for a in arrays], shapes.pop()
+    shape = np.broadcast_shapes(*shapes)
     return [np.array(np.broadcast_to(a, shape), dtype=float).reshape(-1, 3) for a in arrays], shape
 
 
@@ -52,7 +55,7 @@ def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def inverse(pose: Pose) -> Pose:
     """Return pose⁻¹."""
-    return between(pose, np.zeros(3))
+    return between(pose, np.zeros_like(pose))
 
 
 def retract(pose: np.ndarray, xi: np.ndarray) -> np.ndarray:

@@ -22,15 +22,21 @@ def _add_carried(x, y, t, weight, Q, A, out):
 
 
 @kernel
-def spread_all(xi, Q, out):
+def spread(xi, Q, out):
     """∫₀¹ Ad(exp(-sξ)) Q Ad(exp(-sξ))ᵀ ds by Simpson's rule: exact on a straight line."""
     A = np.empty((3, 3))
+    out[:] = 0.0
+    for node in range(3):
+        s = -0.5 * node
+        x, y, t = se2_exp(s * xi[0], s * xi[1], s * xi[2])
+        _add_carried(x, y, t, 4.0 / 6.0 if node == 1 else 1.0 / 6.0, Q, A, out)
+
+
+@kernel
+def spread_all(xi, Q, out):
+    """`spread` of each row."""
     for n in range(len(xi)):
-        out[n] = 0.0
-        for node in range(3):
-            s = -0.5 * node
-            x, y, t = se2_exp(s * xi[n, 0], s * xi[n, 1], s * xi[n, 2])
-            _add_carried(x, y, t, 4.0 / 6.0 if node == 1 else 1.0 / 6.0, Q[n], A, out[n])
+        spread(xi[n], Q[n], out[n])
 
 
 @kernel

@@ -43,7 +43,7 @@ from longreach.measurement import (
     WheelTicks,
     frozen_array,
 )
-from longreach.odometry import _relative_kernels
+from longreach.odometry import _relative_kernels, _wheel_kernels
 from longreach.robot.description import RobotDescription, WheelNoise
 
 _Kind = Literal["ticks", "speeds", "pose", "twist"]
@@ -94,9 +94,9 @@ class WheelOdometry:
 
 
 def wheel_odometry(
-    wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None
+    wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None, after: float = -np.inf
 ) -> WheelOdometry:
-    """Turn wheel records into relative poses of the base with their covariance.
+    """Turn wheel records into relative poses of the base with their covariance: of the steps that end after `after` [s].
 
     Counts and angles are differenced. Of speeds and twists, which hold for an instant, the mean of the two at a step's
     ends is taken for the step (trapezoid): right to second order, where the last one alone would lag half a step. Poses
@@ -115,37 +115,38 @@ def wheel_odometry(
     dt = np.diff(stamps)
     xi, residual = _displacements(kind, values, dt, robot)
     good = _possible(xi, dt, robot, config) & ((dt <= config.longest_gap) | (kind in ("ticks", "pose")))
-    growing, slip = config.covariance == "growing", None
-    arising = _growing(xi, dt, robot.wheel_noise) if growing else _constant(dt, config)
-    if residual is not None and robot.base is not None:
-        slip, span = _windowed(np.where(good, residual, 0.0), stamps, config.slip_window)
-        if growing:
-            arising += _slipping(slip, span, dt, robot.base.lever)
-    Q = np.empty_like(arising)
-    _relative_kernels.spread_all(xi, arising, Q)
-    poses, clock, rows = se2.exp(xi), stamps.tolist(), np.flatnonzero(good)
-    R = _reading(np.where(good[:, None], xi, 0.0), kind, robot) if growing else [None] * len(xi)
+    n, base, slip = len(xi), robot.base, None
+    rate, span, Q = np.zeros(n), np.zeros(n), np.empty((n, 3, 3))
+    if residual is not None and base is not None:
+        _wheel_kernels.slipped(residual, good, stamps, config.slip_window, rate, span)
+        slip = rate
+    if config.covariance == "growing":
+        lever = 1.0 if base is None else base.lever
+        _wheel_kernels.growing(xi, stamps, _numbers(robot.wheel_noise), rate, span, lever, Q)
+        R = np.empty((n, 3, 3))
+        _wheel_kernels.readings(xi, good, _rounding(kind, robot), R)
+    else:
+        _relative_kernels.spread_all(xi, _constant(dt, config), Q)
+        R = [None] * n
+    poses, clock, rows = se2.exp(xi), stamps.tolist(), np.flatnonzero(good & (stamps[1:] > after))
     measurements = tuple(
         RelativePoseMeasurement(clock[i], clock[i + 1], poses[i], Q[i], "wheels", R[i]) for i in rows.tolist()
     )
     slip = None if slip is None else frozen_array(slip[rows], (None,), "WheelOdometry.slip")
-    return WheelOdometry(measurements, len(dt) - len(rows), refused, slip)
+    return WheelOdometry(measurements, int(np.count_nonzero(~good)), refused, slip)
 
 
 def _read(wheels: Sequence[Wheels]) -> tuple[_Kind, np.ndarray, np.ndarray, int]:
     """Return what the records hold, increasing stamps (n,), the values (n, …), and how many were not finite."""
     kind, rows = _rows(wheels)
-    if len({len(row) for row in rows}) > 1:
+    if len(set(map(len, rows))) > 1:
         raise EstimationError("The wheel records are of changing length; each must have one number a wheel.")
-    stamps = np.array([w.stamp for w in wheels])
-    if np.any(np.diff(stamps) < 0):
+    stamps, values = np.array([w.stamp for w in wheels]), np.array(rows)
+    use = np.empty(len(stamps), dtype=np.bool_)
+    refused, backwards = _wheel_kernels.usable(stamps, values, use)
+    if backwards:
         raise EstimationError("The stamps of the wheel records run backwards; repair them with monotone_clock.")
-    values = np.array(rows)
-    finite = np.isfinite(values).all(axis=1)
-    refused = len(stamps) - int(finite.sum())
-    stamps, values = stamps[finite], values[finite]
-    last = np.append(np.diff(stamps) > 0, True)[: len(stamps)]
-    return kind, stamps[last], values[last], refused
+    return kind, stamps[use], values[use], refused
 
 
 def _rows(wheels: Sequence[Wheels]) -> tuple[_Kind, list[np.ndarray]]:
@@ -202,8 +203,10 @@ def _counted(steps: np.ndarray, robot: RobotDescription) -> np.ndarray:
 
 def _possible(xi: np.ndarray, dt: np.ndarray, robot: RobotDescription, config: WheelConfig) -> np.ndarray:
     """Return which steps (n,) a robot can make; shorter ones than usual, late messages, count as usual ones."""
-    time = np.maximum(dt, np.median(dt))
-    return np.all(np.abs(xi) <= config.break_factor * time[:, None] * np.array(robot.velocity_limits), axis=1)
+    usual = np.sort(dt)[(len(dt) - 1) // 2]
+    return (np.abs(xi) <= np.outer(np.maximum(dt, usual), config.break_factor * np.array(robot.velocity_limits))).all(
+        axis=1
+    )
 
 
 def _constant(dt: np.ndarray, config: WheelConfig) -> np.ndarray:
@@ -211,45 +214,28 @@ def _constant(dt: np.ndarray, config: WheelConfig) -> np.ndarray:
     return dt[:, None, None] / config.twist_rate * np.diag(config.twist_variance)  # (3.23)
 
 
-def _growing(xi: np.ndarray, dt: np.ndarray, noise: WheelNoise) -> np.ndarray:
-    """Return the variance (n, 3, 3) that arises in each step, in the axes of the moving base."""
-    distance, angle = np.hypot(xi[:, 0], xi[:, 1]), np.abs(xi[:, 2])
-    direction = xi[:, :2] / np.where(distance > 0, distance, 1.0)[:, None]
-    everywhere = noise.across**2 * distance + noise.turning**2 * angle + noise.rest**2 * dt
-    ahead = (noise.along**2 - noise.across**2) * distance
-    Q = np.zeros((len(xi), 3, 3))
-    Q[:, :2, :2] = ahead[:, None, None] * direction[:, :, None] * direction[:, None, :]
-    Q[:, 0, 0] += everywhere
-    Q[:, 1, 1] += everywhere
-    Q[:, 2, 2] = noise.heading_travel**2 * distance + noise.heading_turning**2 * angle + noise.heading_rest**2 * dt
-    return Q
+def _numbers(noise: WheelNoise) -> tuple[float, ...]:
+    return (
+        noise.along,
+        noise.across,
+        noise.turning,
+        noise.heading_travel,
+        noise.heading_turning,
+        noise.rest,
+        noise.heading_rest,
+    )
 
 
-def _reading(xi: np.ndarray, kind: _Kind, robot: RobotDescription) -> np.ndarray:
-    """Return the covariance (n, 3, 3) of a reading itself: its age, up to one step, and the rounding of a counter.
+def _rounding(kind: _Kind, robot: RobotDescription) -> np.ndarray:
+    """Return the variance (3,) of a reading by its counter's rounding, or a floor that keeps covariances definite.
 
-    A message holds the last state of a counter that was read at some time since the message before: its age is evenly
-    spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the step to the reading and the one before. (In
-    CARMEN's logs the pose beside a scan is just that: the last one of the wheels' own messages, up to 0.2 s old.)
+    A reading has another error, its age: a message holds the last state of a counter that was read at some time since
+    the message before, so the age is evenly spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the
+    step to the reading and the one before. (In CARMEN's logs the pose beside a scan is just that: the last one of the
+    wheels' own messages, up to 0.2 s old.)
     """
-    steps = np.stack([np.vstack([xi[:1], xi[:-1]]), xi])
-    R = np.einsum("kni,knj->nij", steps, steps) / (3 * 2)
     rounding = np.full(3, _FLOOR)
     base, encoder = robot.base, robot.encoder
     if kind == "ticks" and base is not None and encoder is not None and encoder.resolution is not None:
-        rounding = rounding + np.sum(base.forward_matrix**2, axis=1) * encoder.resolution**2 / 12
-    return R + np.diag(rounding)
-
-
-def _windowed(residual: np.ndarray, stamps: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wheels' disagreement (n,) [m/s] over the window that ends with each step, and its length (n,) [s]."""
-    total = np.concatenate(([0.0], np.cumsum(residual)))
-    begins = np.searchsorted(stamps, stamps[1:] - window - 1e-6)
-    begins = np.minimum(begins, np.arange(len(residual)))  # at least the step itself
-    span = stamps[1:] - stamps[begins]
-    return (total[1:] - total[begins]) / span, span
-
-
-def _slipping(slip: np.ndarray, span: np.ndarray, dt: np.ndarray, lever: float) -> np.ndarray:
-    """Return the variance (n, 3, 3) of slip: ρ² for x and y and (ρ/k)² for θ in each window, ρ = slip · span."""
-    return ((slip * span) ** 2 * dt / span)[:, None, None] * np.diag([1.0, 1.0, lever**-2])
+        rounding += np.sum(base.forward_matrix**2, axis=1) * encoder.resolution**2 / 12
+    return rounding
