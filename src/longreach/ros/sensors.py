@@ -1,0 +1,139 @@
+"""What a robot's ROS topics say, as the records that everything else works with."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+from longreach.control.hardware import Readings
+from longreach.io import records
+from longreach.io.bag_topics import JOINT_STATE, ODOMETRY
+from longreach.io.records import Make
+from longreach.measurement import PoseMeasurement
+from longreach.robot.description import RobotDescription
+from longreach.ros import wire
+
+Role = Literal["wheels", "lidar", "imu", "fixes", "joints", "wrench"]
+_KINDS: dict[Role, tuple[str, ...]] = {
+    "wheels": (JOINT_STATE, ODOMETRY),
+    "lidar": ("sensor_msgs/msg/LaserScan",),
+    "imu": ("sensor_msgs/msg/Imu",),
+    "fixes": (
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "geometry_msgs/msg/TransformStamped",
+        ODOMETRY,
+    ),
+    "joints": (JOINT_STATE,),
+    "wrench": ("geometry_msgs/msg/WrenchStamped",),
+}
+_USUAL: dict[Role, str] = {
+    "wheels": "/joint_states",
+    "lidar": "/scan",
+    "imu": "/imu/data",
+    "fixes": "/fixes",
+    "joints": "/joint_states",
+    "wrench": "/wrench",
+}
+
+
+class Heard(NamedTuple):
+    """All that is new: readings, and absolute poses of the base, which no robot says of itself."""
+
+    readings: Readings
+    fixes: tuple[PoseMeasurement, ...]
+
+
+def topic_of(robot: RobotDescription, role: Role) -> str:
+    """Return the topic of a sensor: as the description says, else the usual one."""
+    usual = "/odom" if role == "wheels" and robot.base is None else _USUAL[role]
+    return getattr(robot.topics, role) or usual
+
+
+class Sensors:
+    """A node's subscriptions to a robot's sensors; what came in waits until it is taken.
+
+    refused: how many messages of each role could not be used; `complaint`: the last of the reasons, a sentence.
+    """
+
+    def __init__(self, robot: RobotDescription, roles: Sequence[Role]) -> None:
+        self.refused: Counter[str] = Counter()
+        self.complaint = ""
+        self._robot, self._lock, self._named = robot, threading.Lock(), False
+        self._waiting: dict[str, list[Any]] = {role: [] for role in roles}
+        self._newest: dict[str, float] = {}
+        readers: dict[str, Callable[[Any], Make | None]] = {
+            "wheels": self._wheels,
+            "lidar": lambda message: records.laser_scan(message, robot.lidar),
+            "imu": records.imu,
+            "fixes": _fix,
+            "joints": lambda message: records.joints(message, robot),
+            "wrench": records.wrench,
+        }
+        self._subscriptions = [
+            wire.listen(
+                topic_of(robot, role), _KINDS[role], partial(self._take, role, readers[role]), partial(self._no, role)
+            )
+            for role in roles
+        ]
+
+    def take(self) -> Heard:
+        """Return what came in since the last call, and when that is."""
+        with self._lock:
+            new = {role: tuple(waiting) for role, waiting in self._waiting.items()}
+            for waiting in self._waiting.values():
+                waiting.clear()
+        readings = Readings(
+            wire.now(),
+            wheels=new.get("wheels", ()),
+            scans=new.get("lidar", ()),
+            imu=new.get("imu", ()),
+            joints=new.get("joints", ()),
+            wrenches=new.get("wrench", ()),
+        )
+        return Heard(readings, new.get("fixes", ()))
+
+    def close(self) -> None:
+        """Listen no more."""
+        for subscription in self._subscriptions:
+            subscription.unregister()
+
+    def _take(self, role: str, read: Callable[[Any], Make | None], message: Any) -> None:
+        stamp = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) / 10**9
+        if stamp == 0.0:
+            return self._no(role, f"A message of {role} has no stamp; let its driver say when it measured.")
+        make = read(message)
+        if make is None:
+            shared = role in ("wheels", "joints")  # several nodes share a topic, each tells of its own joints
+            return None if shared else self._no(role, f"A message of {role} has numbers that are not finite.")
+        record = make(stamp=stamp)
+        with self._lock:
+            newest = self._newest.get(role, -1.0)
+            if stamp > newest:
+                self._newest[role] = stamp
+                self._waiting[role].append(record)
+                return None
+        return self._no(role, f"A message of {role} has the stamp {stamp:.6f}, which is not after {newest:.6f}.")
+
+    def _no(self, role: str, reason: str) -> None:
+        with self._lock:
+            self.refused[role] += 1
+            self.complaint = reason
+
+    def _wheels(self, message: Any) -> Make | None:
+        """Read wheels; where some messages name them, those that do not are somebody else's."""
+        if message.__msgtype__ == ODOMETRY:
+            return records.odometry(message)
+        if self._robot.base is None:
+            return None
+        found = records.wheels(message, self._robot)
+        if found is None or (self._named and not found[0]):
+            return None
+        self._named = found[0]
+        return found[1]
+
+
+def _fix(message: Any) -> Make | None:
+    found = records.fix(message)
+    return None if found is None else found[1]

@@ -1,0 +1,159 @@
+"""ROS 1 topics through rospy, their messages packed and unpacked by rosbags: the very types and readers of our bags.
+
+rospy carries bytes here and nothing else, so that it is all of ROS that must be there: no message package is.
+It is Debian's or ROS' own, and is found where Python finds it (PYTHONPATH, as ROS' setup.bash sets it), or else among
+Debian's packages, whose folder is then put last, behind all that this environment has of its own.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from longreach.errors import LiveError, LongreachError
+from longreach.io.messages import Types
+
+_DEBIAN = Path("/usr/lib/python3/dist-packages")
+_QUEUE = 1000  # messages that wait for a slow listener; a scan takes 4 kB
+
+# control_msgs and actionlib's part of it, which Debian has not: the fields as their packages name them.
+_ACTION = {
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "control_msgs/msg/JointTolerance": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration",
+    "control_msgs/msg/FollowJointTrajectoryGoal": (
+        "trajectory_msgs/JointTrajectory trajectory\nJointTolerance[] path_tolerance\n"
+        "JointTolerance[] goal_tolerance\nduration goal_time_tolerance"
+    ),
+    "control_msgs/msg/FollowJointTrajectoryResult": (
+        "int32 error_code\nint32 SUCCESSFUL = 0\nint32 INVALID_GOAL = -1\nint32 INVALID_JOINTS = -2\n"
+        "int32 OLD_HEADER_TIMESTAMP = -3\nint32 PATH_TOLERANCE_VIOLATED = -4\n"
+        "int32 GOAL_TOLERANCE_VIOLATED = -5\nstring error_string"
+    ),
+    "control_msgs/msg/FollowJointTrajectoryFeedback": (
+        "Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint desired\n"
+        "trajectory_msgs/JointTrajectoryPoint actual\ntrajectory_msgs/JointTrajectoryPoint error"
+    ),
+    "control_msgs/msg/FollowJointTrajectoryActionGoal": (
+        "Header header\nactionlib_msgs/GoalID goal_id\nFollowJointTrajectoryGoal goal"
+    ),
+    "control_msgs/msg/FollowJointTrajectoryActionResult": (
+        "Header header\nactionlib_msgs/GoalStatus status\nFollowJointTrajectoryResult result"
+    ),
+    "control_msgs/msg/FollowJointTrajectoryActionFeedback": (
+        "Header header\nactionlib_msgs/GoalStatus status\nFollowJointTrajectoryFeedback feedback"
+    ),
+}
+
+
+@cache
+def store() -> Any:
+    """Return the types of ROS 1 messages, those of trajectory actions among them."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    for name, definition in _ACTION.items():
+        types.register(get_types_from_msg(definition, name))
+    return types
+
+
+def message_types() -> Types:
+    """Return a message's class by its type's name, as `longreach.io.messages` takes them."""
+    return store().types
+
+
+@cache
+def rospy() -> Any:
+    """Return rospy.
+
+    Raises:
+        LiveError: it is not there.
+    """
+    if find_spec("rospy") is None and (_DEBIAN / "rospy").is_dir():
+        sys.path.append(str(_DEBIAN))
+    try:
+        return import_module("rospy")
+    except ImportError as error:
+        raise LiveError(
+            f"ROS 1 cannot be used here ({error}): install Debian's python3-rospy, or source the setup.bash of a ROS "
+            "whose Python is this one."
+        ) from error
+
+
+def start_node(name: str, *, signals: bool = True, wait: float = 10.0) -> None:
+    """Become a node, unless this process is one already; what roslaunch calls it goes before.
+
+    Arguments: signals: whether an interrupt ends the node. wait: for how long a master is waited for [s].
+
+    Raises:
+        LiveError: no ROS master answers.
+    """
+    ros, graph = rospy(), import_module("rosgraph")
+    if ros.core.is_initialized():
+        return
+    until = time.monotonic() + wait
+    while not graph.is_master_online():
+        if time.monotonic() > until:
+            raise LiveError(f"No ROS master answers at {graph.get_master_uri()}; start roscore there.")
+        time.sleep(0.1)
+    ros.init_node(name, disable_signals=not signals)
+
+
+def now() -> float:
+    """Return the time of ROS [s]."""
+    return float(rospy().get_time())
+
+
+class Publisher:
+    """A topic of one type to send messages on; to a latched one a late listener still gets the last message."""
+
+    def __init__(self, topic: str, kind: str, *, latch: bool = False) -> None:
+        self._kind, self._class = kind, _packed(kind)
+        self._publisher = rospy().Publisher(topic, self._class, latch=latch, queue_size=_QUEUE)
+
+    @property
+    def listeners(self) -> int:
+        """How many listen."""
+        return int(self._publisher.get_num_connections())
+
+    def send(self, message: Any) -> None:
+        """Send a message of `message_types`; after the node has ended this does nothing."""
+        packed = self._class()
+        packed.data = store().serialize_ros1(message, self._kind)
+        if not rospy().is_shutdown():
+            self._publisher.publish(packed)
+
+
+def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refuse: Callable[[str], None]) -> Any:
+    """Call `take` with each message on a topic, from rospy's thread, or `refuse` with what is wrong with it."""
+
+    def unpack(packed: Any) -> None:
+        kind = packed._connection_header["type"].replace("/", "/msg/")
+        if kind not in kinds:
+            return refuse(f"{topic} is of type {kind}, but {' or '.join(kinds)} is read from it.")
+        try:
+            take(store().deserialize_ros1(packed._buff, kind))
+        except (LongreachError, SerdeError) as error:
+            refuse(f"A message on {topic} cannot be read: {error}")
+
+    return rospy().Subscriber(topic, rospy().AnyMsg, unpack, queue_size=_QUEUE, tcp_nodelay=True)
+
+
+@cache
+def _packed(kind: str) -> Any:
+    """Return a class of rospy's messages that holds packed bytes of a type."""
+    definition, md5 = store().generate_msgdef(kind, ros_version=1)
+    members = {
+        "_type": kind.replace("/msg/", "/"),
+        "_md5sum": md5,
+        "_full_text": definition,
+        "_has_header": False,
+        "_slot_types": ["uint8[]"],
+        "__slots__": ["data"],
+        "serialize": lambda self, buffer: buffer.write(self.data),
+    }
+    return type("Packed", (import_module("genpy").Message,), members)
