@@ -4,6 +4,7 @@ The same sources through the same filter, so that a replay of what was read give
 given out, once it is older than the filter's history, when nothing that comes late can change it any more.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from longreach.estimation import ekf, fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.observation import planar_imu
-from longreach.measurement import LaserScan, Recording, RelativePoseMeasurement, Wheels
+from longreach.measurement import LaserScan, PoseMeasurement, Recording, RelativePoseMeasurement, Wheels
 from longreach.odometry import lidar
 from longreach.odometry.lidar import LidarState
 from longreach.odometry.scan_match import ScanMatch
@@ -69,9 +70,13 @@ class LocalizerState:
 
 
 def init(
-    robot: RobotDescription, stamp: float, pose: Float[np.ndarray, "3"], config: EstimateConfig | None = None
+    robot: RobotDescription,
+    stamp: float,
+    pose: Float[np.ndarray, "3"],
+    config: EstimateConfig | None = None,
+    pose_covariance: Float[np.ndarray, "3 3"] | None = None,
 ) -> LocalizerState:
-    """Start at rest at a pose [m, m, rad] that is known exactly, as a run defines its own frame."""
+    """Start at rest at a pose [m, m, rad]; without its covariance it is exact, as a run defines its own frame."""
     config = config or EstimateConfig()
     chosen = filter_for(config, robot, _NOTHING)
     gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
@@ -79,7 +84,7 @@ def init(
     chosen = chosen.model_copy(update={"history": _HISTORY, **led})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
     T_base_imu = sensor_mount(_NOTHING, robot, "imu")
-    return LocalizerState(robot, config, fusion.init(stamp, pose, None, chosen), stamp, matcher, T_base_imu)
+    return LocalizerState(robot, config, fusion.init(stamp, pose, pose_covariance, chosen), stamp, matcher, T_base_imu)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -89,10 +94,12 @@ def oldest(readings: Readings, config: EstimateConfig) -> float:
     return min((record.stamp for records in used for record in records), default=readings.stamp)
 
 
-def step(state: LocalizerState, readings: Readings) -> tuple[LocalizerState, list[Correction]]:
-    """Take all that was read; what no source can use is refused by the filter, which says so."""
-    sources = state.config.sources or ("wheels", "lidar", "imu")
-    events: list[Event] = []
+def step(
+    state: LocalizerState, readings: Readings, fixes: Sequence[PoseMeasurement] = ()
+) -> tuple[LocalizerState, list[Correction]]:
+    """Take all that was read, and absolute poses; what no source can use is refused by the filter, which says so."""
+    sources = state.config.sources or ("wheels", "lidar", "imu", "fixes")
+    events: list[Event] = list(fixes) if "fixes" in sources else []
     if "imu" in sources and state.robot.imu is not None and readings.imu:
         noise = state.robot.imu
         R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
