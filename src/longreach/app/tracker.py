@@ -1,7 +1,8 @@
 """The loop that drives a robot along a plan: read, estimate, sample the plan, correct, guard, write.
 
-`step` is one tick and only computes; `run` is the loop around it, and the only one who speaks to the hardware. Nothing
-here knows who made the plan, or whether the robot is simulated.
+`step` is one tick and only computes, whatever the robot is asked to do; `run` is the loop around it for one plan, and
+the only one who speaks to the hardware. Nothing here knows who made the plan, or whether the robot is simulated.
+`longreach.app.robot_side` is the loop around it for whoever commands the robot from outside.
 """
 
 import math
@@ -16,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app import localizer
 from longreach.app.configuration import EstimateConfig
+from longreach.app.goals import Follow, Goal, wished
 from longreach.app.localizer import LocalizerState, Row
 from longreach.configuration import ConfigurationTrajectory
-from longreach.control import safety, ticker, whole_body
-from longreach.control.hardware import Command, Hardware, Readings
-from longreach.control.interpolation import sample
+from longreach.control import safety, ticker
+from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
 from longreach.control.safety import SafetyState
 from longreach.control.safety_checks import Health, Innovation, Stop, places
 from longreach.control.safety_config import SafetyConfig, limits_of
@@ -46,7 +47,7 @@ class TrackerConfig(BaseModel):
 
 
 class Tick(NamedTuple):
-    """What one tick knew and did; q_reference (n,) of the plan, q (n,) as estimated, base first, both at `stamp` [s].
+    """What one tick knew and did; q_reference (n,) of the goal, q (n,) as estimated, base first, both at `stamp` [s].
 
     covariance (3, 3) of the base's ξ; command: what left the gate; stop: why it stopped the robot, or None.
     """
@@ -61,13 +62,12 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerState:
-    """The loop's memory; `at`: how much of the plan's time has passed [s], negative before it begins."""
+    """The loop's memory, and what the robot is asked to do, which may be exchanged between two ticks."""
 
     robot: MobileManipulator
     config: TrackerConfig
-    plan: ConfigurationTrajectory
+    goal: Goal
     stamp: float
-    at: float
     arm: Float[np.ndarray, " m"]
     localizer: LocalizerState
     gate: SafetyState
@@ -76,14 +76,14 @@ class TrackerState:
 
     @property
     def ended(self) -> bool:
-        """Whether the plan, and the rest after it, is over."""
-        return self.at > self.plan.duration + self.config.after
+        """Whether the plan, and the rest after it, is over; what is no plan does not end."""
+        return isinstance(self.goal, Follow) and self.goal.at > self.goal.plan.duration + self.config.after
 
 
 def init(
     robot: MobileManipulator,
     hardware: Hardware,
-    plan: ConfigurationTrajectory,
+    goal: Goal,
     q: Float[np.ndarray, " n"],
     now: float,
     config: TrackerConfig | None = None,
@@ -91,44 +91,55 @@ def init(
     """Start at rest at q (n,), base first: where the run's own frame says that the robot is.
 
     Raises:
-        ControlError: the plan is of other joints than the robot's, or does not begin near q.
+        ControlError: a plan is of other joints than the robot's, or does not begin near q.
     """
     config, promises = config or TrackerConfig(), hardware.promises
+    if isinstance(goal, Follow):
+        check_plan(robot, goal.plan, q, config)
+    gate = safety.init(limits_of(promises, config.safety), now, q[robot.arm])
+    pose = q[robot.base] if robot.base.stop else np.zeros(3)
+    where = localizer.init(robot.description, now, pose, config.estimate)
+    return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / promises.base_rate, now)
+
+
+def check_plan(
+    robot: MobileManipulator, plan: ConfigurationTrajectory, q: Float[np.ndarray, " n"], config: TrackerConfig
+) -> None:
+    """Raise a ControlError where a plan is of other joints than the robot's, or does not begin near q (n,)."""
     if plan.q.shape[1] != robot.dof:
         raise ControlError(f"The plan is of {plan.q.shape[1]} joints, but {robot.name} has {robot.dof}.")
     away = float(np.abs(plan.q[0] - q).max())
     if away > config.safety.position_lag:
         raise ControlError(f"The plan begins {away:.2f} rad or m away from where the robot is; plan from there.")
-    gate = safety.init(limits_of(promises, config.safety), now, q[robot.arm])
-    where = localizer.init(robot.description, now, q[robot.base], config.estimate)
-    return TrackerState(
-        robot, config, plan, now, -config.before, q[robot.arm], where, gate, 1.0 / promises.base_rate, now
-    )
 
 
-def step(state: TrackerState, readings: Readings, heartbeat: float | None = None) -> tuple[TrackerState, Command, Tick]:
-    """Return what may be sent at `readings.stamp`, and what it was made of; heartbeat: when the client was heard."""
-    now, robot, config = readings.stamp, state.robot, state.config
+def step(
+    state: TrackerState, readings: Readings, heartbeat: float | None = None, gripper: GripperCommand | None = None
+) -> tuple[TrackerState, Command, Tick]:
+    """Return what may be sent at `readings.stamp`, and what it was made of.
+
+    heartbeat: when the client was heard [s]; gripper: a new wish for the fingers.
+    """
+    now, robot, config, goal = readings.stamp, state.robot, state.config, state.goal
     where, corrections = localizer.step(state.localizer, readings)  # estimate
     belief = where.belief(now)
     arm = _arm(state, readings)
-    q = np.concatenate([belief.pose, arm])
+    q = np.concatenate([belief.pose[: robot.base.stop], arm])
 
-    # The plan's clock stands while the gate stops the robot: afterwards it goes on from there.
-    at = state.at + (now - state.stamp if state.gate.stop is None else 0.0)
-    q_reference, velocity, _ = sample(state.plan, float(state.plan.stamps[0]) + at)  # sample the plan
-    wish = whole_body.step(robot, config.whole_body, q, whole_body.Reference(q_reference, velocity))  # correct
+    if isinstance(goal, Follow) and state.gate.stop is None:  # the plan's clock stands while the robot is stopped
+        goal = goal._replace(at=goal.at + (now - state.stamp))
+    wish, q_reference = wished(goal, robot, config.whole_body, q, now)  # sample the plan, correct
+    if gripper is not None:
+        wish = Command(now, gripper=gripper) if wish is None else replace(wish, gripper=gripper)
 
     health = Health(tuple(_innovation(c) for c in corrections if c.dof or c.status == "refused"), heartbeat)
-    gate, command = safety.step(
-        state.gate, Command(now, wish.arm, "velocity", wish.base), readings, health, now
-    )  # guard
+    gate, command = safety.step(state.gate, wish, readings, health, now)  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
     base_due = max(state.base_due + state.base_period, now) if due else state.base_due
     tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop)
-    after = replace(state, stamp=now, at=at, arm=arm, localizer=where, gate=gate, base_due=base_due)
+    after = replace(state, goal=goal, stamp=now, arm=arm, localizer=where, gate=gate, base_due=base_due)
     return after, command, tick
 
 
@@ -190,10 +201,9 @@ def run(
     Raises:
         ControlError: the robot does not say where its arm is, or the plan does not begin there.
     """
-    kept, arm = _first_readings(hardware, wait_until, robot)
-    now = kept[-1].stamp
-    state = init(robot, hardware, plan, np.concatenate([base, arm]), now, config)
-    state = replace(state, localizer=_begun(state.localizer, _merged(kept)))
+    config = config or TrackerConfig()
+    state, kept = begin(hardware, wait_until, robot, Follow(plan, -config.before), base, config)
+    now = state.stamp
     rhythm = ticker.init(1.0 / hardware.promises.arm_rate, now)
     ticks: list[Tick] = []
     rows: list[Row] = []
@@ -211,13 +221,27 @@ def run(
             ticks.append(tick)
             kept.append(readings)
             if watch is not None:
-                watch(tick, min(max(state.at / plan.duration, 0.0), 1.0) if plan.duration else 1.0)
+                watch(tick, state.goal.progress if isinstance(state.goal, Follow) else 0.0)
             if tick.stop is not None and tick.stop.latched:
                 break
         reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
     finally:
         hardware.stop(reason or "The plan has ended.")
     return Run(ticks, kept, [*rows, *localizer.settled(state.localizer, None)], rhythm, reason)
+
+
+def begin(
+    hardware: Hardware,
+    wait_until: Callable[[float], None],
+    robot: MobileManipulator,
+    goal: Goal,
+    base: Float[np.ndarray, "3"],
+    config: TrackerConfig,
+) -> tuple[TrackerState, list[Readings]]:
+    """Return the loop before its first tick, and what was read until the robot said where its arm is."""
+    kept, arm = _first_readings(hardware, wait_until, robot)
+    state = init(robot, hardware, goal, np.concatenate([base[: robot.base.stop], arm]), kept[-1].stamp, config)
+    return replace(state, localizer=_begun(state.localizer, _merged(kept))), kept
 
 
 def _first_readings(

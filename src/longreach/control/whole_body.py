@@ -28,6 +28,8 @@ class WholeBodyConfig(BaseModel):
     base_gain: float = Field(default=1.5, ge=0, description="From the base's error to its velocity [1/s]; ours.")
     tool_gain: float = Field(default=8.0, ge=0, description="From the tool's error to its velocity [1/s]; ours.")
     arm_gain: float = Field(default=4.0, ge=0, description="From a joint's error to its speed, open loop [1/s]; ours.")
+    reach_speed: float = Field(default=0.25, gt=0, description="Of the tool pulled to a pose [m/s]; ISO 10218's slow.")
+    reach_turn: float = Field(default=1.0, gt=0, description="And how fast it turns [rad/s]; ours.")
     damping: float = Field(default=0.05, ge=0, description="Largest damping of the arm's inverse [1]; ours.")
     singular: float = Field(default=0.02, ge=0, description="Damped where M of the arm is below this [m³]; ours.")
 
@@ -58,9 +60,24 @@ def step(robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray,
     u = u_ref + config.base_gain * away
     T, J = robot.forward_and_jacobian(q)
     T_ref, J_ref = robot.forward_and_jacobian(reference.q)
-    e = np.concatenate([T_ref[:3, 3] - T[:3, 3], so3.log(T_ref[:3, :3] @ T[:3, :3].T)])
+    e = _pose_error(T, T_ref)
     V = J_ref @ reference.velocity + config.tool_gain * e
     return Wish(_damped(J[:, arm], V - J[:, base] @ u, config), _in_body(q[2], u))
+
+
+def reach(
+    robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], T_ref: Float[np.ndarray, "4 4"]
+) -> Wish:
+    """Return how the arm pulls the tool straight to T_world_tool from q (n,), slowly; the base stands."""
+    T, J = robot.forward_and_jacobian(q)
+    V = config.arm_gain * _pose_error(T, T_ref)
+    much = max(np.linalg.norm(V[:3]) / config.reach_speed, np.linalg.norm(V[3:]) / config.reach_turn, 1.0)
+    return Wish(_damped(J[:, robot.arm], V / much, config), np.zeros(3))
+
+
+def _pose_error(T: np.ndarray, T_ref: np.ndarray) -> np.ndarray:
+    """Return what T lacks to T_ref, (6,) [v; ω], world-aligned."""
+    return np.concatenate([T_ref[:3, 3] - T[:3, 3], so3.log(T_ref[:3, :3] @ T[:3, :3].T)])
 
 
 def _in_body(heading: float, u: np.ndarray) -> np.ndarray:

@@ -66,10 +66,17 @@ class BagWriter:
     def write(self, topic: str, message: Any, stamp: float) -> None:
         """Write one message at the time of recording `stamp` [s]."""
         type = message.__msgtype__
+        serialize = self._store.serialize_ros1 if self._is_ros1 else self._store.serialize_cdr
+        self._write(topic, type, serialize(message, type), stamp)
+
+    def write_cdr(self, topic: str, type: str, payload: bytes, stamp: float) -> None:
+        """Write one message of ROS 2 that is serialized already."""
+        self._write(topic, type, self._store.cdr_to_ros1(payload, type) if self._is_ros1 else payload, stamp)
+
+    def _write(self, topic: str, type: str, payload: bytes | memoryview, stamp: float) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._connect(topic, type)
-        serialize = self._store.serialize_ros1 if self._is_ros1 else self._store.serialize_cdr
-        self._writer.write(self._connections[topic], nanoseconds(stamp), serialize(message, type))
+        self._writer.write(self._connections[topic], nanoseconds(stamp), payload)
 
     def _connect(self, topic: str, type: str) -> Any:
         static = topic == _STATIC

@@ -3,21 +3,37 @@
 `Client` has the face of `longreach.Hardware`, so that whatever drives a robot drives one at the other end of a network.
 """
 
+import getpass
+import socket
+import tempfile
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import yaml
 from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
-from longreach.control.hardware import Command, Promises, Readings
+from longreach.control.hardware import Command, GripperCommand, Promises, Readings, promises_of
+from longreach.errors import LiveError
+from longreach.io import messages
+from longreach.io.config import validated
+from longreach.live import keys, motions, orders
+from longreach.live.hearing import Ears
+from longreach.live.keys import TYPES
+from longreach.live.line import Line
 from longreach.live.state import LiveState
 from longreach.measurement import LaserScan
 from longreach.reference import Reference
+from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
+_PATIENCE = 5.0  # beyond the time that a plan takes [s]
+_connected: list["Client"] = []  # newest last; for `lookup`
 
 
 def connect(
@@ -25,7 +41,7 @@ def connect(
     token: str | None = None,
     *,
     name: str = "",
-    certificates: Path | None = None,
+    certificates: Path | str | None = None,
     timeout: float = 5.0,
 ) -> "Client":
     """Connect to a robot and wait until it says where it is [at most `timeout` s].
@@ -37,68 +53,118 @@ def connect(
     Raises:
         LiveError: nobody answers there, or the server refuses us.
     """
-    raise NotImplementedError
+    line = Line(address, token, None if certificates is None else Path(certificates), timeout)
+    try:
+        client = Client(line, name or f"{getpass.getuser()}@{socket.gethostname()}")
+        line.start()
+        if client._ears.wait(lambda: client._ears.state, timeout) is None:
+            raise LiveError(f"The robot at {address} has not said within {timeout:g} s where it is.")
+    except BaseException:
+        line.close()
+        raise
+    _connected.append(client)
+    return client
+
+
+def _described(line: Line) -> MobileManipulator:
+    """Return the robot that a server describes.
+
+    Raises:
+        LiveError: it describes none.
+    """
+    description, urdf = line.lasting(keys.DESCRIPTION), line.lasting(keys.URDF)
+    if description is None or urdf is None:
+        raise LiveError("The robot does not describe itself; is this a longreach server?")
+    model = validated(RobotDescription, yaml.safe_load(description.data), "the robot's description")
+    with tempfile.TemporaryDirectory() as folder:
+        if model.arm is not None and model.arm.urdf is not None:
+            model = model.model_copy(update={"arm": model.arm.model_copy(update={"urdf": "robot.urdf"})})
+            (Path(folder) / "robot.urdf").write_text(urdf.data, encoding="utf-8")
+        return MobileManipulator.from_description(model, Path(folder))
 
 
 class Client:
     """A robot at the other end of a network; made by `connect`. All of it may be called from any thread."""
 
+    def __init__(self, line: Line, name: str) -> None:
+        self._line, self.name = line, name
+        self._robot = _described(line)
+        self._ears = Ears(line.session, self._robot)
+        plan = line.lasting(keys.PLAN)
+        if plan is not None:
+            self._ears.plan = orders.trajectory(plan, self._robot)
+
     @property
     def promises(self) -> Promises:
         """What the robot can do."""
-        raise NotImplementedError
+        return promises_of(self._robot, gripper=len(self.state.joints) > self._robot.dof - self._robot.base.stop)
 
     @property
     def robot(self) -> MobileManipulator:
         """The robot, from the description that it publishes."""
-        raise NotImplementedError
+        return self._robot
 
     @property
     def state(self) -> LiveState:
         """The newest state."""
-        raise NotImplementedError
+        state = self._ears.state
+        assert state is not None  # `connect` has waited for it
+        return state
 
     @property
     def scan(self) -> LaserScan | None:
         """The newest scan, or None before the first."""
-        raise NotImplementedError
+        return self._ears.scan
 
     @property
     def plan_running(self) -> ConfigurationTrajectory | None:
         """The plan that the robot follows or has followed last, whoever sent it."""
-        raise NotImplementedError
+        return self._ears.plan
 
     @property
     def age(self) -> float:
-        """How old the newest state is [s]; the robot is to be taken for silent beyond 0.25 s."""
-        raise NotImplementedError
+        """How long ago the newest state came [s]; the robot is to be taken for silent beyond 0.25 s."""
+        return time.monotonic() - self._ears.heard
 
     @property
     def offset(self) -> float:
         """The robot's clock less this machine's `time.time()` [s], by the fastest of the last pings."""
-        raise NotImplementedError
+        return self._line.offset
 
     @property
     def lost(self) -> int:
         """How many messages the robot has sent and we have not received."""
-        raise NotImplementedError
+        return self._ears.lost
+
+    @property
+    def delays(self) -> Float[np.ndarray, " n"]:
+        """How long the last messages were under way (n,) [s], true where both sides share a machine's clock."""
+        return np.array(self._ears.delays)
 
     @property
     def holds(self) -> bool:
         """Whether this client holds the robot, so that its commands count."""
-        raise NotImplementedError
+        mine = self._ears.status.get("holder_id", "") == self._line.sender.hex()
+        return self._line.holds and mine
 
     def on_state(self, callback: Callable[[LiveState], None]) -> Callable[[], None]:
         """Call back with each new state, from the network's thread: be quick there. Returns what ends it."""
-        raise NotImplementedError
+        self._ears.on_state.append(callback)
+        return lambda: self._ears.on_state.remove(callback)
 
     def on_scan(self, callback: Callable[[LaserScan], None]) -> Callable[[], None]:
         """Call back with each new scan, from the network's thread. Returns what ends it."""
-        raise NotImplementedError
+        self._ears.on_scan.append(callback)
+        return lambda: self._ears.on_scan.remove(callback)
 
     def __iter__(self) -> Iterator[LiveState]:
         """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
-        raise NotImplementedError
+        seen = None
+        while not self._line.session.is_closed():
+            state = self._ears.wait(lambda seen=seen: self._ears.state if self._ears.state is not seen else None, 1.0)
+            if state is not None:
+                seen = state
+                yield state
 
     def lookup(self, target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
         """Return T_target_source at a time of the robot's clock [s] in the last 10 s, else (None) the newest.
@@ -106,28 +172,41 @@ class Client:
         Raises:
             LiveError: there is no such frame, or none at that time.
         """
-        raise NotImplementedError
+        return self._ears.frames.lookup(target, source, stamp)
 
     def read(self) -> Readings:
         """Return what sensors and joints have said since the last call, without waiting."""
-        raise NotImplementedError
+        return self._ears.readings(self._line.now)
 
     def write(self, command: Command) -> None:
-        """Send velocities or positions; they hold for 0.25 s. Takes the robot where nobody holds it."""
-        raise NotImplementedError
+        """Send velocities or positions, from now on for 0.25 s; takes the robot where nobody holds it.
+
+        Raises:
+            LiveError: another client holds the robot.
+        """
+        self._take_if_free()
+        stamp = self._line.now
+        if command.base is not None:
+            self._line.send(keys.TWIST, orders.twist_message(stamp, command.base))
+        if command.arm is not None:
+            names = self._robot.joint_names[self._robot.arm]
+            self._line.send(keys.JOINTS, messages.joint_state(TYPES, stamp, names, **{command.arm_mode: command.arm}))
+        if command.gripper is not None:
+            self._line.send(keys.GRIPPER, orders.gripper_message(stamp, command.gripper))
 
     def velocity(self, arm: Float[np.ndarray, " m"] | None = None, base: Float[np.ndarray, "3"] | None = None) -> None:
         """Send velocities of the arm's joints (m,) [rad/s] and a body twist of the base (3,); None: zero."""
-        raise NotImplementedError
+        robot = self._robot
+        still = np.zeros(3) if robot.base.stop else None
+        arm = np.zeros(robot.dof - robot.base.stop) if arm is None else arm
+        self.write(Command(self._line.now, arm, "velocity", still if base is None else base))
 
     def gripper(self, value: float, mode: Literal["position", "velocity", "force"] = "position") -> None:
         """Close the fingers: position 0 open to 1 closed, velocity [1/s], or force [N]."""
-        raise NotImplementedError
+        self.write(Command(self._line.now, gripper=GripperCommand(mode, float(value))))
 
     def plan(
-        self,
-        goal: Reference | Float[np.ndarray, "4 4"],
-        method: Method = "task-priority",
+        self, goal: Reference | Float[np.ndarray, "4 4"], method: Method = "task-priority"
     ) -> ConfigurationTrajectory:
         """Plan from where the robot is along a reference, or to a tool pose T_map_tool (4, 4); nothing moves yet.
 
@@ -136,7 +215,8 @@ class Client:
         Raises:
             PlanningError: there is no way there.
         """
-        raise NotImplementedError
+        make = motions.along if isinstance(goal, Reference) else motions.to_pose
+        return make(self._robot, self.state.q, goal, method)
 
     def execute(
         self, trajectory: ConfigurationTrajectory, wait: bool = True, timeout: float | None = None
@@ -146,7 +226,24 @@ class Client:
         Raises:
             LiveError: the robot refuses it, or was stopped on the way; the sentence says why.
         """
-        raise NotImplementedError
+        self._take_if_free()
+        answer = self._line.ask(keys.EXECUTE, messages.joint_trajectory(TYPES, self._line.now, trajectory))
+        return self._wait_for(int(answer.split()[-1]), trajectory.duration, timeout) if wait else self.state
+
+    def _wait_for(self, plan: int, duration: float, timeout: float | None) -> LiveState:
+        ears = self._ears
+
+        def over() -> LiveState | None:
+            state = ears.state
+            started = state is not None and state.plan >= plan
+            return state if started and (state.plan > plan or state.goal != "follow" or state.latched) else None
+
+        state = ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
+        if state is None:
+            raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
+        if state.plan > plan or state.progress < 1.0:
+            raise LiveError(f"The plan ended early: {state.stop or 'the robot was asked for something else'}.")
+        return state
 
     def move_to(
         self,
@@ -154,24 +251,31 @@ class Client:
         wait: bool = True,
         method: Method = "task-priority",
     ) -> LiveState:
-        """Move straight to a configuration q (n,), base first, or of the arm alone (m,), or plan to a tool pose (4, 4)."""
-        raise NotImplementedError
+        """Move straight to a configuration q (n,), base first, or (m,) of the arm, or plan to a tool pose (4, 4)."""
+        q = self.state.q
+        if np.ndim(goal) == 2:
+            return self.execute(motions.to_pose(self._robot, q, goal, method), wait)
+        target = np.concatenate([q[: self._robot.base.stop], goal]) if len(goal) < len(q) else goal
+        return self.execute(motions.straight(self._robot, q, target), wait)
 
     def reach(self, T_map_tool: Float[np.ndarray, "4 4"]) -> None:
-        """Let the arm pull the tool to a pose at once, the base standing; send it anew as it moves (a dragged gizmo)."""
-        raise NotImplementedError
+        """Let the arm pull the tool to a pose at once, the base standing; send it anew as a dragged gizmo moves."""
+        self._take_if_free()
+        self._line.send(keys.TOOL, messages.tool_pose(TYPES, self._line.now, T_map_tool))
 
     def hold(self) -> None:
-        """Let the robot stand where it is, held by the loop; ends a plan."""
-        raise NotImplementedError
+        """Let the robot stand where it is; ends a plan."""
+        self._take_if_free()
+        self._line.order("hold")
 
     def stop(self, reason: str = "The client says stop.") -> None:
         """Brake at once, whoever holds the robot; it stays so until `reset`."""
-        raise NotImplementedError
+        self._line.order(f"stop {reason}")
 
     def reset(self) -> None:
         """Let the robot move again after a stop that holds."""
-        raise NotImplementedError
+        self._take_if_free()
+        self._line.order("reset")
 
     def take(self) -> None:
         """Take the robot, so that this client's commands count and others' do not.
@@ -179,15 +283,27 @@ class Client:
         Raises:
             LiveError: another client holds it; the sentence names it.
         """
-        raise NotImplementedError
+        self._line.order(f"take {self.name}")
+        self._line.holds = True
+        self._ears.wait(lambda: self.holds, 1.0)
+
+    def _take_if_free(self) -> None:
+        if not self.holds:
+            self.take()
 
     def release(self) -> None:
         """Let go of the robot; it stands until somebody takes it."""
-        raise NotImplementedError
+        if self._line.holds:
+            self._line.holds = False
+            self._line.order("release")
 
     def close(self) -> None:
         """Release the robot and hang up."""
-        raise NotImplementedError
+        if self in _connected:
+            _connected.remove(self)
+        with suppress(LiveError):
+            self.release()
+        self._line.close()
 
     def __enter__(self) -> "Client":
         """Return the client."""
@@ -204,4 +320,6 @@ def lookup(target: str, source: str, stamp: float | None = None) -> Float[np.nda
     Raises:
         LiveError: no robot is connected, or it has no such frames then.
     """
-    raise NotImplementedError
+    if not _connected:
+        raise LiveError("No robot is connected; call longreach.connect first.")
+    return _connected[-1].lookup(target, source, stamp)

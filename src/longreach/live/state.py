@@ -1,5 +1,6 @@
 """What a robot says of itself, tick by tick."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +15,13 @@ class LiveState:
     velocity (n,): its body twist [v_x, v_y, ω], then the arm's joints [rad/s].
     covariance (3, 3): of the error ξ of the base's pose, in its own frame.
     wheels (3,): where the wheels alone say it is (the frame odom is placed by it: map → odom → base_link).
-    truth (3,), truth_arm (m,): where it really is, where that is known, else None.
+    truth (3,): where the base really is, where that is known, else None.
+    joints: all that move, fingers included, by their names [rad].
     reference (n,): where the plan is now; q where no plan runs.
-    progress: how much of the plan is done, 0 to 1. goal: what it does: hold, direct, reach or follow.
+    progress: how much of the plan is done, 0 to 1; plan: its number. goal: what it does: hold, direct, reach, follow.
     loop_time [s]: what the last tick computed. stop: why the safety gate stops the robot, empty where it does not;
     latched: whether it stays so until `reset`. holder: the name of the client that commands it, empty where none does.
+    refused: how many messages the robot has refused so far, whoever sent them.
     """
 
     stamp: float
@@ -27,11 +30,13 @@ class LiveState:
     covariance: Float[np.ndarray, "3 3"]
     wheels: Float[np.ndarray, "3"]
     truth: Float[np.ndarray, "3"] | None
-    truth_arm: Float[np.ndarray, " m"] | None
+    joints: Mapping[str, float]
     reference: Float[np.ndarray, " n"]
     progress: float = 0.0
+    plan: int = 0
     goal: str = "hold"
     loop_time: float = 0.0
     stop: str = ""
     latched: bool = False
     holder: str = ""
+    refused: int = 0

@@ -1,0 +1,127 @@
+"""The robot's side of a system that others command: `tracker`'s loop around whatever is asked for from outside.
+
+All that is critical in time happens here. Commands and plans come as `Orders`, from wherever; what the loop knew and did
+goes out as a `Moment`, to whomever. There is no network in here.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.app import tracker
+from longreach.app.goals import Direct, Goal, Hold
+from longreach.app.tracker import Tick, TrackerConfig, TrackerState
+from longreach.control import safety, ticker
+from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
+from longreach.control.safety_checks import Stop
+from longreach.control.ticker import Ticker
+from longreach.geometry import se2
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_FORGOTTEN = 2.0  # a client that is gone for so long is not waited for [s]; ours
+
+
+class Orders(NamedTuple):
+    """What has come since the last tick.
+
+    goal: what to do from now on; stop: why to stop at once, until a reset; heartbeat: when whoever holds the robot was
+    heard last [s], None where nobody does.
+    """
+
+    goal: Goal | None = None
+    gripper: GripperCommand | None = None
+    stop: str = ""
+    reset: bool = False
+    heartbeat: float | None = None
+
+
+class Moment(NamedTuple):
+    """What one tick knew and did; wheels (3,): the pose by the wheels alone; loop_time [s]: what the tick took."""
+
+    tick: Tick
+    readings: Readings
+    state: TrackerState
+    wheels: Float[np.ndarray, "3"]
+    loop_time: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotSide:
+    """The loop's memory: the tracker's, the pose by the wheels alone (3,) and the stamp of the last step in it [s]."""
+
+    tracker: TrackerState
+    wheels: Float[np.ndarray, "3"]
+    stepped: float
+
+
+def step(side: RobotSide, readings: Readings, orders: Orders) -> tuple[RobotSide, Command, Tick]:
+    """Take the orders and do one tick."""
+    state, now = side.tracker, readings.stamp
+    goal, gate = orders.goal or _carried_on(state, orders, now), state.gate
+    if orders.reset:
+        gate = safety.reset(gate)
+    if orders.stop:
+        gate, goal = replace(gate, stop=Stop("emergency stop", orders.stop, now, True)), Hold()
+    heartbeat = now if orders.heartbeat is None else orders.heartbeat  # where nobody holds the robot nobody is missed
+    state, command, tick = tracker.step(replace(state, goal=goal, gate=gate), readings, heartbeat, orders.gripper)
+    wheels, stepped = side.wheels, side.stepped
+    for way in state.localizer.steps:
+        if way.stamp > stepped:
+            wheels, stepped = se2.compose(wheels, way.pose), way.stamp
+    return RobotSide(state, wheels, stepped), command, tick
+
+
+def _carried_on(state: TrackerState, orders: Orders, now: float) -> Goal:
+    """Return what to do where nothing new was asked for: the same, as long as there is a reason to."""
+    goal = state.goal
+    if orders.heartbeat is not None and now - orders.heartbeat > _FORGOTTEN:
+        return Hold()
+    if isinstance(goal, Direct):
+        fresh = now - goal.stamp <= state.config.safety.command_timeout
+        return goal._replace(command=None) if fresh else Hold()
+    return Hold() if state.ended else goal
+
+
+def run(
+    hardware: Hardware,
+    wait_until: Callable[[float], None],
+    robot: MobileManipulator,
+    base: Float[np.ndarray, "3"],
+    take: Callable[[float], Orders],
+    publish: Callable[[Moment], None],
+    ended: Callable[[], str],
+    config: TrackerConfig | None = None,
+) -> Ticker:
+    """Serve the robot until somebody says why it shall end; then it is stopped by its own means.
+
+    Arguments:
+        wait_until: returns at a time of the hardware's clock [s].
+        base: where the base is at the start [m, m, rad]: this lays down the frame map.
+        take: returns what has come since it was called last, given the time [s].
+        publish: is given what each tick knew and did.
+        ended: returns why the loop shall end, or an empty string.
+
+    Raises:
+        ControlError: the robot does not say where its arm is.
+    """
+    state, _ = tracker.begin(hardware, wait_until, robot, Hold(), base, config or TrackerConfig())
+    side = RobotSide(state, np.array(base), state.localizer.start)
+    rhythm, reason = ticker.init(1.0 / hardware.promises.arm_rate, state.stamp), "interrupted"
+    try:
+        while not (over := ended()):
+            wait_until(rhythm.due)
+            readings = hardware.read()
+            rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
+            side, command, tick = step(side, readings, take(readings.stamp))
+            hardware.write(command)
+            took = time.perf_counter() - began
+            rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, took))
+            publish(Moment(tick, readings, side.tracker, side.wheels, took))
+        reason = over
+    finally:
+        hardware.stop(reason)
+    return rhythm

@@ -1,0 +1,59 @@
+"""longreach connect: the client's side: watch a robot that is served somewhere, and command it."""
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    address: str = typer.Argument("127.0.0.1:7447", help="Where the robot is served, host:port."),
+    token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="The server's secret."),
+    certificates: Path | None = typer.Option(
+        None, help="Folder with ca.pem, and client.pem and client.key if need be."
+    ),
+    move_to: str | None = typer.Option(None, help="Joint angles of the arm, or of all joints, as numbers with commas."),
+    tool_by: str | None = typer.Option(None, help="Move the tool by x,y,z in metres, in map's axes."),
+    plan: Path | None = typer.Option(None, help="Follow a reference: TUM poses of the tool, or CSV."),
+    method: str = typer.Option("task-priority", help="Of planning: task-priority or sqp."),
+    velocity: str | None = typer.Option(None, help="Drive the base for --duration: v_x,v_y,ω in m/s and rad/s."),
+    gripper: float | None = typer.Option(None, help="Close the fingers: 0 open to 1 closed."),
+    stop: bool = typer.Option(False, "--stop", help="Stop the robot, whoever holds it."),
+    reset: bool = typer.Option(False, "--reset", help="Let it move again after a stop."),
+    duration: float | None = typer.Option(None, help="Watch, or drive, for so many seconds; else until interrupted."),
+) -> None:
+    """Watch a robot over the network, or let it do one thing."""
+    import time
+
+    import numpy as np
+
+    from longreach.cli.watching import numbers, watched
+    from longreach.live.client import connect
+    from longreach.planning.planner import check_method
+
+    check_method(method)
+    with connect(address, token, certificates=certificates) as client:
+        if stop:
+            client.stop()
+        if reset:
+            client.reset()
+        if gripper is not None:
+            client.gripper(gripper)
+        if move_to is not None:
+            client.move_to(numbers(move_to, (client.robot.dof, client.robot.dof - client.robot.base.stop), "--move-to"))
+        if tool_by is not None:
+            T = client.robot.forward(client.state.q)
+            T[:3, 3] += numbers(tool_by, (3,), "--tool-by")
+            client.move_to(T, method=method)  # type: ignore[arg-type]
+        if plan is not None:
+            from longreach.io.reference import read_reference
+
+            client.execute(client.plan(read_reference(plan), method))  # type: ignore[arg-type]
+        if velocity is not None:
+            twist, until = numbers(velocity, (3,), "--velocity"), time.monotonic() + (duration or 1.0)
+            while time.monotonic() < until:
+                client.velocity(base=np.array(twist))
+                time.sleep(0.02)
+            client.velocity()
+        if not any((stop, reset, gripper is not None, move_to, tool_by, plan, velocity)):
+            watched(client, duration)
+        typer.echo(f"The robot is at {np.array2string(client.state.q, precision=3, suppress_small=True)}.")

@@ -1,0 +1,86 @@
+"""Who comes in: every message of a client is checked here before anything believes it, and refusals are counted."""
+
+import hmac
+import logging
+import time
+from collections import Counter, OrderedDict
+from dataclasses import dataclass, field
+from typing import Any
+
+from longreach.live.keys import Topic, attached
+from longreach.live.link import authentication
+
+_LOG = logging.getLogger("longreach.live")
+_SENDERS = 256  # whose numbers are remembered
+_QUIET = 1.0  # between two lines in the log about the same reason [s]; each says how many there were
+
+
+class Refused(Exception):
+    """A message that is not accepted; its text is the reason, in a few words."""
+
+
+@dataclass
+class Refusals:
+    """How many messages were refused, by reason; each is logged, those that come in a flood together."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    _told: dict[str, tuple[float, int]] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """How many there were."""
+        return sum(self.counts.values())
+
+    def count(self, reason: str, topic: str) -> None:
+        """Count one more and log it."""
+        self.counts[reason] += 1
+        when, told = self._told.get(reason, (-_QUIET, 0))
+        now = time.monotonic()
+        if now - when >= _QUIET:
+            self._told[reason] = now, self.counts[reason]
+            new = self.counts[reason] - told
+            _LOG.warning("Refused %d on %s: %s (%d so far).", new, topic, reason, self.counts[reason])
+
+    def tell_all(self) -> None:
+        """Log what has not been logged yet."""
+        for reason, total in self.counts.items():
+            if total > self._told.get(reason, (0.0, 0))[1]:
+                _LOG.warning("Refused %d in all: %s.", total, reason)
+
+
+class Door:
+    """Lets in a message that is small enough, whole, authentic where there is a token, and new."""
+
+    def __init__(self, token: str | None, nonce: bytes, refusals: Refusals) -> None:
+        self._token, self._nonce, self.refusals = token, nonce, refusals
+        self._numbers: OrderedDict[bytes, int] = OrderedDict()
+
+    def admit(self, topic: Topic, sample: Any) -> tuple[bytes, Any]:
+        """Return who sent a sample or query, and its message.
+
+        Raises:
+            Refused: it is not let in.
+        """
+        payload = sample.payload
+        if payload is None or len(payload) > topic.limit:
+            raise Refused("nothing in it" if payload is None else "too large")
+        data, attachment = bytes(payload), b"" if sample.attachment is None else bytes(sample.attachment)
+        try:
+            about, mac = attached(attachment)
+        except ValueError:
+            raise Refused("without an attachment") from None
+        if self._token is not None:
+            signed = attachment[: len(attachment) - len(mac)]
+            if not hmac.compare_digest(mac, authentication(self._token, self._nonce, topic.key, signed, data)):
+                raise Refused("not authentic")
+            if about.number <= self._numbers.get(about.sender, -1):
+                raise Refused("repeated")
+        try:
+            message = topic.unpack(data)
+        except Exception:
+            raise Refused("malformed") from None
+        self._numbers[about.sender] = about.number
+        self._numbers.move_to_end(about.sender)
+        while len(self._numbers) > _SENDERS:
+            self._numbers.popitem(last=False)
+        return about.sender, message

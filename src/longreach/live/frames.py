@@ -1,0 +1,138 @@
+"""Where all frames of a robot are: map → odom → base_link → the links of its URDF, by its joints."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from threading import Lock
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import LiveError
+from longreach.geometry import se2, se3, so3
+from longreach.robot.description import Mount
+from longreach.robot.joint import Joint
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+MAP, ODOM, BASE = "map", "odom", "base_link"
+_NEAR = 0.02  # past the newest pose a stamp is taken for that [s]
+
+
+def tree(robot: MobileManipulator) -> tuple[Joint, ...]:
+    """Return all joints below the base, each after the one that carries it; the description's own frames are fixed."""
+    joints = list(robot.urdf.joints) if robot.urdf is not None else []
+    known = {joint.child for joint in joints}
+    description = robot.description
+    own = [(name, placed.parent, placed.matrix()) for name, placed in description.frames.items()]
+    for sensor in (description.lidar, description.imu):
+        if sensor is not None and sensor.frame is not None:
+            own.append((sensor.frame, BASE, (sensor.mount or Mount()).matrix()))
+    joints += [Joint(f"{n}_joint", "fixed", p, n, T) for n, p, T in own if n not in known]
+    return tuple(joints)
+
+
+def transform(joint: Joint, position: float) -> Float[np.ndarray, "4 4"]:
+    """Return T_parent_child of a joint at a position [rad or m]."""
+    T = np.array(joint.origin)
+    axis = np.array(joint.axis)
+    if joint.kind in ("revolute", "continuous"):
+        T[:3, :3] = T[:3, :3] @ so3.exp(axis * position)
+    elif joint.kind == "prismatic":
+        T[:3, 3] += T[:3, :3] @ axis * position
+    return T
+
+
+def odom_in_map(pose: Float[np.ndarray, "3"], wheels: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return where odom is in map, so that the base, seen through it, is where the estimate says: REP-105."""
+    return se2.compose(pose, se2.inverse(wheels))
+
+
+def _planar(pose: np.ndarray) -> np.ndarray:
+    """Return the motion (4, 4) of a pose in the plane."""
+    return se3.from_rotation_translation(so3.exp(np.array([0.0, 0.0, pose[2]])), np.array([pose[0], pose[1], 0.0]))
+
+
+class _Instant(NamedTuple):
+    stamp: float
+    names: tuple[str, ...]
+    positions: np.ndarray
+    pose: np.ndarray
+    wheels: np.ndarray
+
+
+class Frames:
+    """The last `memory` seconds of a robot's frames; safe to be filled by one thread and asked by others."""
+
+    def __init__(self, robot: MobileManipulator, memory: float = 10.0) -> None:
+        self._parents: Mapping[str, Joint] = {joint.child: joint for joint in tree(robot)}
+        self._root = robot.urdf.root if robot.urdf is not None else BASE
+        self._memory, self._past, self._lock = memory, deque[_Instant](), Lock()
+
+    def add(
+        self,
+        stamp: float,
+        names: tuple[str, ...],
+        positions: Float[np.ndarray, " n"],
+        pose: Float[np.ndarray, "3"],
+        wheels: Float[np.ndarray, "3"],
+    ) -> None:
+        """Take note of where joints (n,), base and odometry are; what is older than the newest is passed over."""
+        with self._lock:
+            if self._past and stamp <= self._past[-1].stamp:
+                return
+            self._past.append(_Instant(stamp, names, positions, pose, wheels))
+            while self._past[0].stamp < stamp - self._memory:
+                self._past.popleft()
+
+    def lookup(self, target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
+        """Return T_target_source at a time [s], between two instants by what lies between them; None: the newest.
+
+        Raises:
+            LiveError: there is no such frame, or it is not known where it was then.
+        """
+        instant = self._at(stamp)
+        T_target, T_source = (self._in_map(frame, instant) for frame in (target, source))
+        return se3.inverse(T_target) @ T_source
+
+    def _at(self, stamp: float | None) -> _Instant:
+        with self._lock:
+            past = list(self._past)
+        if not past:
+            raise LiveError("The robot has not said yet where it is; wait for its first state.")
+        if stamp is None or past[-1].stamp <= stamp <= past[-1].stamp + _NEAR:
+            return past[-1]
+        if not past[0].stamp <= stamp <= past[-1].stamp:
+            raise LiveError(
+                f"Frames are known from {past[0].stamp:.3f} to {past[-1].stamp:.3f} s, not at {stamp:.3f} s."
+            )
+        i = int(np.searchsorted([instant.stamp for instant in past], stamp, side="right"))
+        before, after = past[i - 1], past[min(i, len(past) - 1)]
+        if after is before or after.names != before.names:
+            return before
+        part = (stamp - before.stamp) / (after.stamp - before.stamp)
+        pose, wheels = (
+            se2.retract(a, part * se2.log(se2.between(a, b)))
+            for a, b in ((before.pose, after.pose), (before.wheels, after.wheels))
+        )
+        positions = before.positions + part * (after.positions - before.positions)
+        return _Instant(stamp, before.names, positions, pose, wheels)
+
+    def _in_map(self, frame: str, instant: _Instant) -> np.ndarray:
+        """Return T_map_frame."""
+        T = np.eye(4)
+        at = dict(zip(instant.names, instant.positions.tolist(), strict=True))
+        while frame in self._parents:
+            joint = self._parents[frame]
+            T = transform(joint, at.get(joint.name, 0.0)) @ T
+            frame = joint.parent
+        if frame == MAP:
+            return T
+        if frame == ODOM:
+            return _planar(odom_in_map(instant.pose, instant.wheels)) @ T
+        if frame in (self._root, BASE):
+            return _planar(instant.pose) @ T
+        raise LiveError(f"There is no frame {frame}; there are {', '.join(self.names())}.")
+
+    def names(self) -> Iterator[str]:
+        """Yield the names of all frames."""
+        yield from (MAP, ODOM, self._root, *self._parents)

@@ -1,0 +1,157 @@
+"""What a client hears: messages become a `LiveState`, frames, readings; what is lost on the way is counted."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from threading import Condition
+from typing import Any, TypeVar
+
+import numpy as np
+
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control.hardware import Readings
+from longreach.io import records
+from longreach.live import keys, orders
+from longreach.live.frames import Frames
+from longreach.live.keys import Topic, attached
+from longreach.live.state import LiveState
+from longreach.measurement import LaserScan
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_KEPT = 1000  # readings of a kind that nobody has asked for
+
+_T = TypeVar("_T")
+
+
+class Ears:
+    """Hears all that a robot says on a session."""
+
+    def __init__(self, session: Any, robot: MobileManipulator) -> None:
+        self.robot, self.frames = robot, Frames(robot)
+        self.state: LiveState | None = None
+        self.scan: LaserScan | None = None
+        self.plan: ConfigurationTrajectory | None = None
+        self.status: dict[str, str] = {}
+        self.heard = 0.0  # when the newest state came, by time.monotonic() [s]
+        self.lost, self.malformed = 0, 0
+        self.delays: deque[float] = deque(maxlen=10_000)
+        self.changed = Condition()
+        self.on_state: list[Callable[[LiveState], None]] = []
+        self.on_scan: list[Callable[[LaserScan], None]] = []
+        self._numbers: dict[bytes, int] = {}
+        self._parts: dict[Topic, Any] = {}
+        self._new: dict[str, deque[Any]] = {
+            name: deque(maxlen=_KEPT) for name in ("wheels", "scans", "imu", "joints", "wrenches")
+        }
+        takes = {
+            keys.ESTIMATE: partial(self._parts.__setitem__, keys.ESTIMATE),
+            keys.WHEELS_ALONE: partial(self._parts.__setitem__, keys.WHEELS_ALONE),
+            keys.TRUTH: partial(self._parts.__setitem__, keys.TRUTH),
+            keys.REFERENCE: partial(self._parts.__setitem__, keys.REFERENCE),
+            keys.STATUS: self._take_status,
+            keys.ARM: self._take_arm,
+            keys.SCAN: self._take_scan,
+            keys.PLAN: self._take_plan,
+            keys.WHEELS: lambda m: self._keep("wheels", m, (records.wheels(m, robot.description) or (False, None))[1]),
+            keys.IMU: lambda m: self._keep("imu", m, records.imu(m)),
+            keys.WRENCH: lambda m: self._keep("wrenches", m, records.wrench(m)),
+        }
+        self._declared = [session.declare_subscriber(t.key, partial(self._hear, t, take)) for t, take in takes.items()]
+
+    def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+        """Take a message; one that is none, or too large, is counted and passed over."""
+        try:
+            if len(sample.payload) > topic.limit or sample.attachment is None:
+                raise ValueError
+            about, _ = attached(bytes(sample.attachment))
+            message = topic.unpack(bytes(sample.payload))
+        except Exception:
+            self.malformed += 1
+            return
+        self.delays.append(1e-9 * (time.time_ns() - about.sent_ns))
+        before = self._numbers.get(about.sender)
+        if before is not None:
+            self.lost += max(about.number - before - 1, 0)
+        self._numbers[about.sender] = about.number
+        take(message)
+
+    def _take_status(self, message: Any) -> None:
+        one = message.status[0]
+        self.status = {item.key: item.value for item in one.values} | {"stop": one.message}
+        with self.changed:
+            self.changed.notify_all()
+
+    def _take_arm(self, message: Any) -> None:
+        """Put a state together: the arm's message is the last of its tick."""
+        stamp, robot = orders.stamp_of(message), self.robot
+        joints = dict(zip(message.name, message.position.tolist(), strict=True))
+        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
+        arm = robot.joint_names[robot.arm]
+        q = np.array([joints[name] for name in arm])
+        v = np.array([speeds.get(name, 0.0) for name in arm])
+        pose, covariance, wheels, truth = np.zeros(3), np.zeros((3, 3)), np.zeros(3), None
+        if robot.base.stop:
+            if keys.ESTIMATE not in self._parts or keys.WHEELS_ALONE not in self._parts:
+                return
+            said = self._made(records.odometry(self._parts[keys.ESTIMATE]), stamp)
+            pose, covariance = said.pose, said.pose_covariance
+            covariance = np.zeros((3, 3)) if covariance is None else covariance
+            wheels = self._made(records.odometry(self._parts[keys.WHEELS_ALONE]), stamp).pose
+            q, v = np.concatenate([pose, q]), np.concatenate([said.twist, v])
+        if keys.TRUTH in self._parts:
+            known = records.stamped_pose(self._parts[keys.TRUTH])
+            truth = None if known is None else known[0]
+        reference, status = q, self.status
+        if status.get("goal") == "follow" and keys.REFERENCE in self._parts:
+            reference = np.array(self._parts[keys.REFERENCE].position)
+        self.frames.add(stamp, tuple(message.name), np.array(message.position), pose, wheels)
+        self._keep("joints", message, records.joints(message, robot.description))
+        self._tell(LiveState(
+            stamp, q, v, covariance, wheels, truth, joints, reference,
+            progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
+            goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
+            stop=status.get("stop", ""), latched=status.get("latched") == "1",
+            holder=status.get("holder", ""), refused=int(status.get("refused") or 0),
+        ))  # fmt: skip
+
+    @staticmethod
+    def _made(make: Callable[..., Any] | None, stamp: float) -> Any:
+        if make is None:
+            raise ValueError("a message that says nothing")
+        return make(stamp=stamp)
+
+    def _tell(self, state: LiveState) -> None:
+        with self.changed:
+            self.state, self.heard = state, time.monotonic()
+            self.changed.notify_all()
+        for callback in tuple(self.on_state):
+            callback(state)
+
+    def _take_scan(self, message: Any) -> None:
+        make = records.laser_scan(message, self.robot.description.lidar)
+        self._keep("scans", message, make)
+        if self._new["scans"]:
+            self.scan = self._new["scans"][-1]
+            for callback in tuple(self.on_scan):
+                callback(self.scan)
+
+    def _take_plan(self, message: Any) -> None:
+        self.plan = orders.trajectory(message, self.robot)
+
+    def _keep(self, kind: str, message: Any, make: Callable[..., Any] | None) -> None:
+        if make is not None:
+            self._new[kind].append(make(stamp=orders.stamp_of(message)))
+
+    def readings(self, stamp: float) -> Readings:
+        """Return what has come since the last call."""
+        taken = {kind: tuple(new.popleft() for _ in range(len(new))) for kind, new in self._new.items()}
+        return Readings(stamp, **taken)
+
+    def wait(self, ready: Callable[[], _T | None], timeout: float) -> _T | None:
+        """Return what `ready` returns as soon as that is something, or None after a time [s]."""
+        until = time.monotonic() + timeout
+        with self.changed:
+            while not (found := ready()) and (left := until - time.monotonic()) > 0.0:
+                self.changed.wait(left)
+            return found or None

@@ -1,0 +1,101 @@
+"""Under which keys what is sent, laid out as ROS 2's zenoh middleware (rmw_zenoh) does it, and what is attached.
+
+A topic's key is domain/name/type/hash, its payload CDR, and its attachment the number of the message, the time of
+sending [ns] and who sent it. Source: rmw_zenoh, docs/design.md and attachment_helpers; REP-2011 for the hashes.
+"""
+
+import struct
+import time
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TYPES = STORE.types
+_ATTACHED = struct.Struct("<qqB16s")  # the 1 byte is the length of what follows
+MAC_SIZE = 16
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A name with a standard type; limit: of a payload that is looked at [bytes]."""
+
+    name: str
+    type: str
+    limit: int = 4096
+
+    @property
+    def key(self) -> str:
+        """The key of the messages, in ROS' domain 0."""
+        return _key(self.name, self.type)
+
+    def pack(self, message: Any) -> bytes:
+        """Return a message as CDR."""
+        return bytes(STORE.serialize_cdr(message, self.type))
+
+    def unpack(self, payload: bytes) -> Any:
+        """Return the message in a payload; whatever is wrong with it raises something."""
+        return STORE.deserialize_cdr(payload, self.type)
+
+
+@cache
+def _key(name: str, type: str) -> str:
+    package, _, kind = type.split("/")
+    return f"0/{name.strip('/')}/{package}::msg::dds_::{kind}_/{STORE.hash_rihs01(type)}"
+
+
+# What the robot says.
+ARM = Topic("/arm/joint_states", "sensor_msgs/msg/JointState", 65536)
+ESTIMATE = Topic("/odometry/filtered", "nav_msgs/msg/Odometry")
+WHEELS_ALONE = Topic("/odom", "nav_msgs/msg/Odometry")
+TRUTH = Topic("/truth", "geometry_msgs/msg/PoseStamped")
+REFERENCE = Topic("/reference", "sensor_msgs/msg/JointState", 65536)
+STATUS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 65536)
+SCAN = Topic("/scan", "sensor_msgs/msg/LaserScan", 1 << 20)
+WHEELS = Topic("/joint_states", "sensor_msgs/msg/JointState", 65536)
+IMU = Topic("/imu/data", "sensor_msgs/msg/Imu")
+WRENCH = Topic("/wrench", "geometry_msgs/msg/WrenchStamped")
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", 1 << 20)
+TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1 << 20)
+PLAN = Topic("/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
+URDF = Topic("/robot_description", "std_msgs/msg/String", 1 << 24)
+DESCRIPTION = Topic("/longreach/description", "std_msgs/msg/String", 1 << 20)
+# What clients send from moment to moment.
+TWIST = Topic("/cmd_vel", "geometry_msgs/msg/TwistStamped")
+JOINTS = Topic("/arm/command", "sensor_msgs/msg/JointState", 16384)
+TOOL = Topic("/tool/goal", "geometry_msgs/msg/PoseStamped")
+GRIPPER = Topic("/gripper/command", "sensor_msgs/msg/JointState")
+HEARTBEAT = Topic("/longreach/heartbeat", "std_msgs/msg/Header")
+# What clients ask for, and get an answer to.
+ORDER = Topic("/longreach/order", "std_msgs/msg/String")
+EXECUTE = Topic("/longreach/execute", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
+CLOCK = Topic("/longreach/clock", "sensor_msgs/msg/TimeReference")
+
+
+class Attached(NamedTuple):
+    """What comes with a message: its number from its sender on, when it was sent [ns], by whom (16 bytes)."""
+
+    number: int
+    sent_ns: int
+    sender: bytes
+
+
+def attach(number: int, sender: bytes) -> bytes:
+    """Return the attachment of a message that is sent now."""
+    return _ATTACHED.pack(number, time.time_ns(), 16, sender)
+
+
+def attached(data: bytes) -> tuple[Attached, bytes]:
+    """Return what an attachment says, and what follows it: the message's authentication, or nothing.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if len(data) not in (_ATTACHED.size, _ATTACHED.size + MAC_SIZE):
+        raise ValueError("not an attachment")
+    number, sent_ns, length, sender = _ATTACHED.unpack_from(data)
+    if length != 16:
+        raise ValueError("not an attachment")
+    return Attached(number, sent_ns, sender), data[_ATTACHED.size :]

@@ -1,0 +1,169 @@
+"""What clients ask of a robot, and who of them holds it: from the network's threads to the loop's."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from threading import Lock
+from typing import Any
+
+from longreach.app.goals import Direct, Follow, Goal, Hold, Reach
+from longreach.app.robot_side import Moment, Orders
+from longreach.app.tracker import check_plan
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control.hardware import Command, GripperCommand
+from longreach.errors import LiveError, LongreachError
+from longreach.live import keys, orders
+from longreach.live.door import Door, Refused
+from longreach.live.keys import TYPES, Topic
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+_LOG = logging.getLogger("longreach.live")
+_FORGOTTEN = 2.0  # a client that is gone for so long holds the robot no more [s]; ours
+_OTHERS = ("stop",)  # what everybody who is let in may say, whoever holds the robot
+
+
+@dataclass
+class _Asked:
+    """What has come since the loop looked last."""
+
+    goal: Goal | None = None
+    direct: Command | None = None
+    gripper: GripperCommand | None = None
+    stop: str = ""
+    reset: bool = False
+
+
+@dataclass
+class Holder:
+    """Who holds the robot: nobody where `sender` is empty; heard: when last [s] of time.monotonic()."""
+
+    sender: bytes = b""
+    name: str = ""
+    heard: float = 0.0
+
+
+class Listener:
+    """Hears what clients send on a session. moment: returns what the loop did last, None before its first tick."""
+
+    def __init__(
+        self, session: Any, robot: MobileManipulator, door: Door, moment: Callable[[], Moment | None], before: float
+    ) -> None:
+        self._robot, self._door, self._moment, self._before = robot, door, moment, before
+        self._lock, self._asked = Lock(), _Asked()
+        self.holder = Holder()
+        self.plan: ConfigurationTrajectory | None = None
+        self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
+        streams = {
+            keys.TWIST: lambda message: self._direct(orders.twist(message)),
+            keys.JOINTS: lambda message: self._direct(orders.arm(message, robot)),
+            keys.TOOL: lambda message: self._set(goal=Reach(orders.tool(message))),
+            keys.GRIPPER: lambda message: self._set(gripper=orders.gripper(message)),
+            keys.HEARTBEAT: lambda message: None,
+        }
+        questions = {keys.ORDER: self._order, keys.EXECUTE: self._execute}
+        self._declared = [
+            *(session.declare_subscriber(t.key, partial(self._hear, t, take)) for t, take in streams.items()),
+            *(session.declare_queryable(t.key, partial(self._answer, t, do)) for t, do in questions.items()),
+        ]
+
+    def take(self, now: float) -> Orders:
+        """Return what was asked for since the last call, at a time of the robot's clock [s]."""
+        with self._lock:
+            asked, self._asked, self.plans = self._asked, _Asked(), self._given
+            holder = self.holder
+            silent = time.monotonic() - holder.heard
+            if holder.sender and silent > _FORGOTTEN:
+                _LOG.warning("%s was not heard for %.1f s and holds the robot no more.", holder.name, silent)
+                holder = self.holder = Holder()
+        goal = asked.goal if asked.direct is None else Direct(asked.direct, min(asked.direct.stamp, now))
+        heartbeat = now - silent if holder.sender else None
+        return Orders(goal, asked.gripper, asked.stop, asked.reset, heartbeat)
+
+    def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+        """Take a message of a stream, which nobody waits for an answer to."""
+        try:
+            sender, message = self._door.admit(topic, sample)
+            self._check_holder(sender)
+            take(message)
+        except (Refused, LongreachError) as refusal:
+            self._door.refusals.count(str(refusal), topic.name)
+
+    def _answer(self, topic: Topic, do: Callable[[bytes, Any], str], query: Any) -> None:
+        """Do what a query asks for, and answer with a std_msgs/String: what was refused and why, or nothing."""
+        with query:
+            try:
+                answer = do(*self._door.admit(topic, query))
+            except (Refused, LongreachError) as refusal:
+                self._door.refusals.count(str(refusal), topic.name)
+                answer = f"refused: {refusal}"
+            query.reply(topic.key, keys.ORDER.pack(TYPES["std_msgs/msg/String"](answer)))
+
+    def _check_holder(self, sender: bytes) -> None:
+        with self._lock:
+            holder = self.holder
+            if holder.sender != sender:
+                raise Refused("from a client that does not hold the robot")
+            holder.heard = time.monotonic()
+
+    def _set(self, **asked: Any) -> None:
+        with self._lock:
+            for name, value in asked.items():
+                setattr(self._asked, name, value)
+            if "goal" in asked:
+                self._asked.direct = None
+
+    def _direct(self, command: Command) -> None:
+        """Put a command for base or arm beside what came for the other since the last tick."""
+        with self._lock:
+            before = self._asked.direct
+            if before is not None:
+                arm = (before.arm, before.arm_mode) if command.arm is None else (command.arm, command.arm_mode)
+                base = before.base if command.base is None else command.base
+                command = Command(max(before.stamp, command.stamp), *arm, base)
+            self._asked.direct = command
+
+    def _order(self, sender: bytes, message: Any) -> str:
+        """Do what one word asks for; the rest of the line is a name or a reason."""
+        word, _, rest = message.data[:200].partition(" ")
+        if word == "stop":
+            self._set(goal=Hold(), stop=rest or "A client says stop.")
+            return ""
+        if word == "take":
+            return self._give(sender, rest or "somebody")
+        self._check_holder(sender)
+        if word == "release":
+            self._set(goal=Hold())
+            with self._lock:
+                self.holder = Holder()
+        elif word == "hold":
+            self._set(goal=Hold())
+        elif word == "reset":
+            self._set(reset=True)
+        else:
+            raise Refused("an unknown order")
+        return ""
+
+    def _give(self, sender: bytes, name: str) -> str:
+        with self._lock:
+            if self.holder.sender not in (b"", sender):
+                raise LiveError(f"{self.holder.name} holds the robot; wait until it is released.")
+            self.holder = Holder(sender, name, time.monotonic())
+        _LOG.info("%s holds the robot.", name)
+        return ""
+
+    def _execute(self, sender: bytes, message: Any) -> str:
+        """Let the robot follow a trajectory; the answer is the plan's number."""
+        self._check_holder(sender)
+        moment = self._moment()
+        if moment is None:
+            raise LiveError("The robot is not ready yet.")
+        if moment.tick.stop is not None and moment.tick.stop.latched:
+            raise LiveError(f"The robot is stopped: {moment.tick.stop.reason} Reset it first.")
+        plan = orders.trajectory(message, self._robot)
+        check_plan(self._robot, plan, moment.tick.q, moment.state.config)
+        with self._lock:
+            self.plan, self._given = plan, self._given + 1
+            self._asked.goal, self._asked.direct = Follow(plan, -self._before), None
+            return f"plan {self._given}"

@@ -1,0 +1,179 @@
+"""The robot's side on the network: says what the robot does, and hears what it shall do."""
+
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.app.goals import Follow
+from longreach.app.robot_side import Moment, Orders
+from longreach.app.tracker import TrackerConfig
+from longreach.io import messages
+from longreach.live import keys, telling
+from longreach.live.door import Door, Refusals
+from longreach.live.keys import TYPES, Topic
+from longreach.live.link import open_server, zenoh
+from longreach.live.listener import Listener
+from longreach.live.recorder import Recorder
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
+_STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
+_STREAMS = (
+    keys.ARM, keys.ESTIMATE, keys.WHEELS_ALONE, keys.TRUTH, keys.REFERENCE, keys.STATUS, keys.SCAN, keys.WHEELS,
+    keys.IMU, keys.WRENCH, keys.TF, keys.TF_STATIC, keys.PLAN,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ServerConfig:
+    """Where a server listens, and whom it lets in."""
+
+    address: str = "127.0.0.1:7447"
+    token: str | None = None
+    certificates: Path | None = None
+
+
+class Server:
+    """A robot on the network; `take` and `publish` are what `robot_side.run` needs.
+
+    Arguments: description: the robot's YAML and its URDF; truth: tells where the base really is, where that is known;
+    recorder: is given all that is said.
+    """
+
+    def __init__(
+        self,
+        robot: MobileManipulator,
+        description: tuple[str, str],
+        config: ServerConfig,
+        tracker: TrackerConfig,
+        truth: Callable[[], Float[np.ndarray, "3"]] | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self._robot, self._truth, self._recorder = robot, truth, recorder
+        self._nonce = secrets.token_bytes(16)
+        self._senders = {
+            topic: secrets.token_bytes(16) for topic in _STREAMS
+        }  # each publisher is told apart, as in ROS
+        self._numbers = dict.fromkeys(_STREAMS, 0)
+        self._moment: Moment | None = None
+        self._published = time.monotonic()
+        self._progress, self._plans = 0.0, 0
+        self._status, self._status_due, self._frames_due = "", 0.0, 0.0
+        self.refusals = Refusals()
+        self._session = open_server(config.address, config.token, config.certificates)
+        door = Door(config.token, self._nonce, self.refusals)
+        self._listener = Listener(self._session, robot, door, lambda: self._moment, tracker.before)
+        z = zenoh()
+        self._publishers = {
+            topic: self._session.declare_publisher(
+                topic.key, congestion_control=z.CongestionControl.DROP, priority=z.Priority.REAL_TIME, express=True
+            )
+            for topic in _STREAMS
+        }
+        String = TYPES["std_msgs/msg/String"]
+        lasting = {
+            keys.DESCRIPTION: lambda: String(description[0]),
+            keys.URDF: lambda: String(description[1]),
+            keys.TF_STATIC: lambda: telling.static_frames(robot, self.now),
+            keys.PLAN: self._plan,
+            keys.CLOCK: self._clock,
+        }
+        self._declared = [
+            self._session.declare_queryable(topic.key, partial(self._tell, topic, say))
+            for topic, say in lasting.items()
+        ]
+
+    @property
+    def now(self) -> float:
+        """The time of the robot's clock [s]."""
+        moment = self._moment
+        return 0.0 if moment is None else moment.tick.stamp + time.monotonic() - self._published
+
+    def take(self, now: float) -> Orders:
+        """Return what clients have asked for since the last call."""
+        return self._listener.take(now)
+
+    def publish(self, moment: Moment) -> None:
+        """Say what one tick knew and did."""
+        if self._moment is None:
+            self._say(keys.TF_STATIC, telling.static_frames(self._robot, moment.tick.stamp), moment.tick.stamp)
+        self._moment, self._published = moment, time.monotonic()
+        now, truth = moment.tick.stamp, None if self._truth is None else self._truth()
+        if isinstance(moment.state.goal, Follow):
+            self._progress = moment.state.goal.progress
+        if self._plans != self._listener.plans:
+            self._plans, self._progress = self._listener.plans, 0.0
+            self._say(keys.PLAN, self._plan(), now)
+        self._say_status(moment, now)
+        for topic, message in telling.state(self._robot, moment, truth):
+            self._say(topic, message, now)
+        for topic, message in telling.sensors(self._robot, moment):
+            self._say(topic, message, now)
+        if now >= self._frames_due:
+            self._frames_due = now + _FRAMES_EVERY - 1e-6
+            self._say(keys.TF, telling.moving_frames(self._robot, moment), now)
+
+    def _say_status(self, moment: Moment, now: float) -> None:
+        """Say how the loop is, from time to time, and at once where something else than a number has changed."""
+        holder, stop = self._listener.holder, moment.tick.stop
+        what = f"{telling.goal_name(moment)} {self._plans} {holder.sender.hex()} {stop and stop.cause}"
+        if what == self._status and now < self._status_due:
+            return
+        self._status, self._status_due = what, now + _STATUS_EVERY - 1e-6
+        values = {
+            "holder": holder.name,
+            "holder_id": holder.sender.hex(),
+            "plan": str(self._plans),
+            "progress": f"{self._progress:.6f}",
+            "refused": str(self.refusals.total),
+        }
+        self._say(keys.STATUS, telling.status(moment, values), now)
+
+    def _say(self, topic: Topic, message: Any, now: float) -> None:
+        publisher = self._publishers[topic]
+        listens = publisher.matching_status.matching
+        if not listens and self._recorder is None:
+            return
+        payload = topic.pack(message)
+        if self._recorder is not None:
+            self._recorder.write(topic, payload, now)
+        if listens:
+            self._numbers[topic] += 1
+            publisher.put(payload, attachment=keys.attach(self._numbers[topic], self._senders[topic]))
+
+    def _tell(self, topic: Topic, say: Callable[..., Any], query: Any) -> None:
+        """Answer with what lasts; with the nonce of this server where the attachment of a message has its sender."""
+        with query:
+            message = say(query) if topic is keys.CLOCK else say()
+            if message is not None:
+                query.reply(topic.key, topic.pack(message), attachment=keys.attach(0, self._nonce))
+
+    def _plan(self) -> Any:
+        plan = self._listener.plan
+        return None if plan is None else messages.joint_trajectory(TYPES, self.now, plan)
+
+    def _clock(self, query: Any) -> Any:
+        """Answer the time of the robot's clock, and give back the client's own."""
+        payload = b"" if query.payload is None else bytes(query.payload)
+        if len(payload) > keys.CLOCK.limit:
+            self.refusals.count("too large", keys.CLOCK.name)
+            return None
+        try:
+            asked = keys.CLOCK.unpack(payload)
+        except Exception:
+            self.refusals.count("malformed", keys.CLOCK.name)
+            return None
+        header = messages.header(TYPES, self.now, "")
+        return TYPES["sensor_msgs/msg/TimeReference"](header, asked.time_ref, "longreach")
+
+    def close(self) -> None:
+        """Hang up."""
+        self.refusals.tell_all()
+        self._session.close()

@@ -1,0 +1,100 @@
+"""A robot served: hardware, loop, network and recording, until somebody ends it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from longreach.app import robot_side
+from longreach.app.configuration import EstimateConfig
+from longreach.app.paced import Paced
+from longreach.app.tracker import TrackerConfig
+from longreach.control.hardware import Hardware
+from longreach.control.safety_config import SafetyConfig
+from longreach.control.ticker import Ticker
+from longreach.errors import ConfigError
+from longreach.io.config import description_file, to_yaml
+from longreach.io.robots import load_robot
+from longreach.live.recorder import recording
+from longreach.live.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
+from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim.kinematic_config import KinematicConfig
+from longreach.sim.kinematic_robot import KinematicRobot
+from longreach.sim.physics import PhysicsConfig, Simulation
+from longreach.sim.sensors import SensorConfig, Timing
+from longreach.sim.simulated import Simulated
+
+SIMULATED = ("sim", "kinematic")
+_SELDOM = SensorConfig(truth=Timing(rate=1e-3, latency=0.0))  # the truth is asked for; none is to pile up
+
+
+def simulated(kind: str, robot: MobileManipulator, world: str, seed: int, scans: bool = True) -> Simulated:
+    """Return a simulated robot: sim, with physics, or kinematic, without forces.
+
+    Raises:
+        ConfigError: there is no such kind, or it cannot be simulated.
+    """
+    if kind == "sim":
+        return Simulation(robot, world, seed=seed, config=PhysicsConfig(sensors=_SELDOM))
+    if kind == "kinematic":
+        present = ("wheels", "imu", "joints", "lidar") if scans else ("wheels", "imu", "joints")
+        return KinematicRobot(robot, world, seed=seed, config=KinematicConfig(sensors=_SELDOM, present=present))
+    raise ConfigError(f"There is no hardware {kind!r}; there are {', '.join(SIMULATED)} and ros.")
+
+
+def described(robot: str) -> tuple[str, str]:
+    """Return the YAML of a robot's description, and its URDF or an empty text."""
+    path = Path(robot) if robot.endswith(".urdf") else description_file(robot)
+    description = load_robot(robot).description
+    arm = description.arm
+    urdf = "" if arm is None or arm.urdf is None else (path.parent / arm.urdf).read_text(encoding="utf-8")
+    return to_yaml(description), urdf
+
+
+def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = True) -> TrackerConfig:
+    """Return the loop's settings: whoever holds the robot is watched, and so are the sensors that it has."""
+    stale = {"joints": 0.1, "wheels": 0.2, "scans": 0.25}
+    sources: tuple[str, ...] = ("wheels", "lidar", "imu")
+    if not scans or robot.description.lidar is None:
+        del stale["scans"]
+        sources = ("wheels", "imu")
+    if robot.description.bolted:
+        stale.pop("wheels", None)
+        stale.pop("scans", None)
+    return TrackerConfig(
+        estimate=EstimateConfig.model_validate({"sources": sources}),
+        safety=SafetyConfig.model_validate({"heartbeat_timeout": HEARTBEAT_TIMEOUT, "stale_after": stale}),
+    )
+
+
+def serve(
+    hardware: Hardware,
+    wait_until: Callable[[float], None] | None,
+    robot: MobileManipulator,
+    description: tuple[str, str],
+    config: ServerConfig,
+    ended: Callable[[], str],
+    *,
+    record: Path | None = None,
+    scans: bool = True,
+    ready: Callable[[Server], None] = lambda server: None,
+) -> Ticker:
+    """Serve a robot until `ended` says why it shall end; wait_until: None paces a simulated one to the wall's time.
+
+    Raises:
+        LiveError: it cannot listen there. RecordingError: it cannot record there.
+    """
+    truth, base = None, np.zeros(3)
+    if isinstance(hardware, Simulated):
+        truth, base = (lambda: hardware.truth().base), hardware.truth().base
+    if wait_until is None:
+        assert isinstance(hardware, Simulated)
+        wait_until = Paced(hardware)
+    settings = tracker_config(hardware, robot, scans)
+    with recording(record) as recorder:
+        server = Server(robot, description, config, settings, truth, recorder)
+        try:
+            ready(server)
+            return robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)
+        finally:
+            server.close()

@@ -1,0 +1,123 @@
+"""What the robot says at each tick, as standard messages; `longreach.live.hearing` reads them again."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from longreach.app.goals import Follow
+from longreach.app.robot_side import Moment
+from longreach.geometry import so3
+from longreach.io import messages
+from longreach.live import keys
+from longreach.live.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
+from longreach.live.keys import TYPES, Topic
+from longreach.measurement import Odometry, WheelSpeeds
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+Said = Iterator[tuple[Topic, Any]]
+
+
+def goal_name(moment: Moment) -> str:
+    """Return what the robot does now: hold, direct, reach or follow."""
+    return type(moment.state.goal).__name__.lower()
+
+
+def state(robot: MobileManipulator, moment: Moment, truth: np.ndarray | None) -> Said:
+    """Yield what makes a `LiveState`; the arm comes last and completes it."""
+    tick, stamp = moment.tick, moment.tick.stamp
+    newest = moment.state.localizer.filter.belief
+    if robot.base.stop:
+        twist, pose = newest.twist, tick.q[robot.base]
+        said = Odometry(stamp, pose, twist, tick.covariance)
+        yield keys.WHEELS_ALONE, messages.odometry(TYPES, stamp, Odometry(stamp, moment.wheels))
+        yield keys.ESTIMATE, messages.odometry(TYPES, stamp, said, MAP)
+    if truth is not None:
+        yield keys.TRUTH, messages.pose_stamped(TYPES, stamp, truth)
+    if isinstance(moment.state.goal, Follow):
+        yield keys.REFERENCE, messages.joint_state(TYPES, stamp, robot.joint_names, tick.q_reference)
+    names, position, velocity = _joints(robot, moment)
+    yield keys.ARM, messages.joint_state(TYPES, stamp, names, position, velocity)
+
+
+def _joints(robot: MobileManipulator, moment: Moment) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the arm's joints as estimated at the tick, and behind them those that were only measured."""
+    arm = robot.joint_names[robot.arm]
+    names, position = list(arm), moment.tick.q[robot.arm]
+    velocity = moment.state.gate.velocity
+    if moment.readings.joints:
+        newest = moment.readings.joints[-1]
+        if len(newest.velocity) == len(newest.names):
+            at = {name: i for i, name in enumerate(newest.names)}
+            velocity = np.array([newest.velocity[at[n]] if n in at else 0.0 for n in arm])
+            more = [i for i, name in enumerate(newest.names) if name not in arm]
+            names += [newest.names[i] for i in more]
+            position = np.concatenate([position, newest.position[more]])
+            velocity = np.concatenate([velocity, newest.velocity[more]])
+    return names, position, velocity
+
+
+def sensors(robot: MobileManipulator, moment: Moment) -> Said:
+    """Yield what was measured, each with its own stamp."""
+    readings, base = moment.readings, robot.description.base
+    for scan in readings.scans:
+        yield keys.SCAN, messages.laser_scan(TYPES, scan.stamp, scan)
+    for wheels in readings.wheels:
+        if isinstance(wheels, Odometry) or base is None:
+            continue  # a driver's own odometry is in the estimate
+        speeds = isinstance(wheels, WheelSpeeds)
+        values = {"velocity": wheels.speeds} if isinstance(wheels, WheelSpeeds) else {"position": wheels.ticks}
+        assert speeds or "position" in values
+        yield keys.WHEELS, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
+    for imu in readings.imu:
+        yield keys.IMU, messages.imu(TYPES, imu.stamp, imu)
+    for wrench in readings.wrenches:
+        yield keys.WRENCH, messages.wrench(TYPES, wrench.stamp, wrench)
+
+
+def status(moment: Moment, values: Mapping[str, str]) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray: how the loop is, whether it is stopped, and what else is to be said."""
+    stop, goal = moment.tick.stop, moment.state.goal
+    known = {
+        "goal": goal_name(moment),
+        "loop_time": f"{moment.loop_time:.6f}",
+        "latched": str(int(stop is not None and stop.latched)),
+        "progress": f"{goal.progress:.6f}" if isinstance(goal, Follow) else "",
+    }
+    KeyValue, Status = TYPES["diagnostic_msgs/msg/KeyValue"], TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
+    level = 2 if stop is not None and stop.latched else int(stop is not None)  # ok, warn, error
+    said = [KeyValue(key, value) for key, value in {**known, **values}.items()]
+    one = Status(level, "longreach", "" if stop is None else stop.reason, moment.state.robot.name, said)
+    header = messages.header(TYPES, moment.tick.stamp, "")
+    return TYPES["diagnostic_msgs/msg/DiagnosticArray"](header, [one])
+
+
+def moving_frames(robot: MobileManipulator, moment: Moment) -> Any:
+    """Return a tf2_msgs/TFMessage of all that moves: map → odom → base_link, and the joints of the URDF."""
+    stamp, tick = moment.tick.stamp, moment.tick
+    names, positions, _ = _joints(robot, moment)
+    at = dict(zip(names, positions.tolist(), strict=True))
+    stamped = []
+    if robot.base.stop:
+        in_map = odom_in_map(tick.q[robot.base], moment.wheels)
+        for parent, child, pose in ((MAP, ODOM, in_map), (ODOM, BASE, moment.wheels)):
+            T = np.eye(4)
+            T[:2, 3], T[:3, :3] = pose[:2], so3.exp(np.array([0.0, 0.0, pose[2]]))
+            stamped.append(_stamped(stamp, parent, child, T))
+    for joint in tree(robot):
+        if joint.moves:
+            stamped.append(_stamped(stamp, joint.parent, joint.child, transform(joint, at.get(joint.name, 0.0))))
+    return TYPES["tf2_msgs/msg/TFMessage"](stamped)
+
+
+def static_frames(robot: MobileManipulator, stamp: float) -> Any:
+    """Return a tf2_msgs/TFMessage of all that does not move."""
+    fixed = [joint for joint in tree(robot) if not joint.moves]
+    return TYPES["tf2_msgs/msg/TFMessage"]([_stamped(stamp, j.parent, j.child, transform(j, 0.0)) for j in fixed])
+
+
+def _stamped(stamp: float, parent: str, child: str, T: np.ndarray) -> Any:
+    translation = TYPES["geometry_msgs/msg/Vector3"](*T[:3, 3].tolist())
+    turn = TYPES["geometry_msgs/msg/Quaternion"](*messages.quaternion_xyzw(T[:3, :3]).tolist())
+    moved = TYPES["geometry_msgs/msg/Transform"](translation, turn)
+    return TYPES["geometry_msgs/msg/TransformStamped"](messages.header(TYPES, stamp, parent), child, moved)
