@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.execution import Execution, ExecutionConfig, execute, loop_metrics
@@ -95,14 +96,18 @@ def planned(robot: MobileManipulator, config: DualTrajectoryConfig) -> tuple[Ref
 def execute_both(
     config: DualTrajectoryConfig, seed: int, tell: Progress, watch: Show | None = None
 ) -> dict[str, Execution]:
-    """Execute the plan with the loop closed on the estimate, which `watch` shows, and open."""
+    """Execute the plan with the loop closed on the estimate, which `watch` shows, and open, in a process of its own."""
     robot = load_robot(config.robot)
     tell("planning", 0.0)
     reference, trajectory = planned(robot, config)
     if watch is not None and reference.tool is not None:
         watch.goal = reference.tool[:, :3, 3]
-    shown = {"closed": watch, "open": None}
-    return {loop: execute(robot, trajectory, config.execution(seed, loop), tell, shown[loop]) for loop in LOOPS}
+    beside = Parallel(n_jobs=2, return_as="generator")(
+        [delayed(execute)(robot, trajectory, config.execution(seed, "open"))]
+    )
+    closed = execute(robot, trajectory, config.execution(seed, "closed"), tell, watch)
+    tell("driving, open loop", 0.0)
+    return dict(zip(LOOPS, (closed, next(iter(beside))), strict=True))
 
 
 def metrics_of(runs: Mapping[str, Execution]) -> dict[str, dict[str, Metric]]:

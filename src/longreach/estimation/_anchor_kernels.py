@@ -63,7 +63,8 @@ def clone(mean, P, anchor):
     i = BODY + 3 * anchor
     n = max(len(mean), i + 3)
     source = np.arange(n)
-    source[i : i + 3] = np.arange(3)
+    for a in range(3):
+        source[i + a] = a
     new, covariance = np.empty(n), np.empty((n, n))
     for a in range(n):
         new[a] = mean[source[a]]

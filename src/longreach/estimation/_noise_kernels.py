@@ -26,7 +26,8 @@ def score(S, r, parts, most, slope, information):
     for p in range(m):
         for j in range(k):
             _solve(L, parts[p, :, j].copy(), column)
-            inverse_parts[p, :, j] = column
+            for i in range(k):
+                inverse_parts[p, i, j] = column[i]
     for p in range(m):
         total = 0.0
         for i in range(k):
@@ -63,7 +64,10 @@ def learn(S, r, own, seen, added, most, memory, lowest, highest, log, informatio
     """
     k, m = len(r), len(log)
     parts, slope, new = np.zeros((2 * m, k, k)), np.empty(2 * m), np.empty(2 * m)
-    parts[:2] = own
+    for block in range(2):
+        for i in range(k):
+            for j in range(k):
+                parts[block, i, j] = own[block, i, j]
     for n in range(m - 1):
         for block in range(2):
             for i in range(k):

@@ -27,7 +27,8 @@ def _select_rows(r, H, R):
     r2, H2, R2 = np.empty(m), np.empty((m, H.shape[1])), np.empty((m, m))
     for i in range(m):
         r2[i] = r[rows[i]]
-        H2[i] = H[rows[i]]
+        for j in range(H.shape[1]):
+            H2[i, j] = H[rows[i], j]
         for j in range(m):
             R2[i, j] = R[rows[i], rows[j]]
     return r2, H2, R2
@@ -79,7 +80,9 @@ def observe_relative_pose(mean, z, R, anchor, at):
     se2_adjoint(x, y, t, H[:, at : at + 3])
     x, y, t = se2_between(z[0], z[1], z[2], 0.0, 0.0, 0.0)
     se2_adjoint(x, y, t, H[:, k : k + 3])
-    H[:, k : k + 3] *= -1.0
+    for i in range(3):
+        for j in range(k, k + 3):
+            H[i, j] = -H[i, j]
     z[0], z[1], z[2] = -e0, -e1, -e2
     return _select_rows(z, H, R)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from longreach.geometry._kernels import se2_exp
 from longreach.kernels import kernel
+from longreach.odometry._rank_kernels import smallest
 
 _WIDTHS = (16, 8, 4, 2, 1)  # half widths of the windows tried [beams]
 _STEEPEST = 0.1  # variance of a line's direction [rad²] above which it is none
@@ -58,7 +59,7 @@ def range_noise(x, y, r, space):
         variance = 1.0 / r[u] ** 4 + a * a / r[u - 1] ** 4 + b * b / r[u + 1] ** 4
         space[m] = abs(off) / math.sqrt(variance)
         m += 1
-    return np.quantile(space[:m], 1.0 / 3.0) / 0.4307 if m > 0 else 0.0
+    return smallest(space[:m], (m - 1) // 3) / 0.4307 if m > 0 else 0.0
 
 
 @kernel

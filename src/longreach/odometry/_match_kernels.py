@@ -13,6 +13,7 @@ from longreach.kernels import kernel
 from longreach.odometry._eigen_kernels import symmetric_eigen
 from longreach.odometry._match_covariance_kernels import carry_covariance, line_covariance
 from longreach.odometry._pyramid_kernels import _atan_ratio
+from longreach.odometry._rank_kernels import smallest
 
 LineSettings = namedtuple("LineSettings", "iterations gate grazing worst agree known common")
 ROWS = 8  # numbers kept of a matched point
@@ -67,7 +68,7 @@ def robust_scale(rows, m, space):
     for i in range(0, m, step):
         space[k] = abs(rows[3, i]) * math.sqrt(rows[4, i])
         k += 1
-    return 1.4826 * np.median(space[:k])
+    return 1.4826 * smallest(space[:k], k // 2)
 
 
 @kernel(fastmath=True)

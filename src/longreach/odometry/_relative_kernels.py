@@ -46,6 +46,8 @@ def chain_all(reference, relative, Q, poses, covariance):
     for i in range(1, len(poses)):
         r, d = reference[i], relative[i]
         poses[i, 0], poses[i, 1], poses[i, 2] = se2_compose(poses[r, 0], poses[r, 1], poses[r, 2], d[0], d[1], d[2])
-        covariance[i] = Q[i]
+        for j in range(3):
+            for k in range(3):
+                covariance[i, j, k] = Q[i, j, k]
         x, y, t = se2_compose(0.0, 0.0, -d[2], -d[0], -d[1], 0.0)
         _add_carried(x, y, t, 1.0, covariance[r], A, covariance[i])

@@ -96,7 +96,7 @@ class WheelOdometry:
 def wheel_odometry(
     wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None, after: float = -np.inf
 ) -> WheelOdometry:
-    """Turn wheel records into relative poses of the base with their covariance: of the steps that end after `after` [s].
+    """Turn wheel records into relative poses of the base with their covariance, one a step that ends after `after` [s].
 
     Counts and angles are differenced. Of speeds and twists, which hold for an instant, the mean of the two at a step's
     ends is taken for the step (trapezoid): right to second order, where the last one alone would lag half a step. Poses
