@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -102,12 +103,12 @@ def execute_both(
     reference, trajectory = planned(robot, config)
     if watch is not None and reference.tool is not None:
         watch.goal = reference.tool[:, :3, 3]
-    beside = Parallel(n_jobs=2, return_as="generator")(
+    beside: Any = Parallel(n_jobs=2, return_as="generator")(
         [delayed(execute)(robot, trajectory, config.execution(seed, "open"))]
     )
     closed = execute(robot, trajectory, config.execution(seed, "closed"), tell, watch)
     tell("driving, open loop", 0.0)
-    return dict(zip(LOOPS, (closed, next(iter(beside))), strict=True))
+    return {"closed": closed, "open": next(beside)}
 
 
 def metrics_of(runs: Mapping[str, Execution]) -> dict[str, dict[str, Metric]]:

@@ -204,9 +204,8 @@ def _counted(steps: np.ndarray, robot: RobotDescription) -> np.ndarray:
 def _possible(xi: np.ndarray, dt: np.ndarray, robot: RobotDescription, config: WheelConfig) -> np.ndarray:
     """Return which steps (n,) a robot can make; shorter ones than usual, late messages, count as usual ones."""
     usual = np.sort(dt)[(len(dt) - 1) // 2]
-    return (np.abs(xi) <= np.outer(np.maximum(dt, usual), config.break_factor * np.array(robot.velocity_limits))).all(
-        axis=1
-    )
+    most = np.outer(np.maximum(dt, usual), config.break_factor * np.array(robot.velocity_limits))
+    return np.all(np.abs(xi) <= most, axis=1)
 
 
 def _constant(dt: np.ndarray, config: WheelConfig) -> np.ndarray:
