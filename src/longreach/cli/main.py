@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from longreach.cli import estimate, evaluate, info, plan, run, warmup
+from longreach.cli import connect, estimate, evaluate, info, plan, ros, run, serve, warmup
 from longreach.errors import LongreachError
 
 app = typer.Typer(
@@ -51,8 +51,12 @@ def _answers_in_a_sentence(verb: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-for _module in (info, estimate, evaluate, plan, run, warmup):
+for _module in (info, estimate, evaluate, plan, run, serve, connect, warmup):
     app.command(name=_module.__name__.rpartition(".")[2])(_answers_in_a_sentence(_module.command))
+for _node in ros.app.registered_commands:
+    if _node.callback is not None:
+        _node.callback = _answers_in_a_sentence(_node.callback)
+app.add_typer(ros.app, name="ros")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

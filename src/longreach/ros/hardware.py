@@ -2,7 +2,6 @@
 
 from typing import Literal
 
-
 from longreach.control.hardware import Command, Promises, Readings
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.ros import wire

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 from longreach.control.hardware import Readings
+from longreach.errors import ConfigError
 from longreach.io import records
 from longreach.io.bag_topics import JOINT_STATE, ODOMETRY
 from longreach.io.records import Make
@@ -137,3 +138,18 @@ class Sensors:
 def _fix(message: Any) -> Make | None:
     found = records.fix(message)
     return None if found is None else found[1]
+
+
+def with_topics(robot: RobotDescription, topics: Sequence[str]) -> RobotDescription:
+    """Return a description with other topics, each given as ROLE=TOPIC.
+
+    Raises:
+        ConfigError: there is no such role, or no topic.
+    """
+    named = {}
+    for given in topics:
+        role, _, topic = given.partition("=")
+        if role not in _KINDS or not topic:
+            raise ConfigError(f"{given!r} names no topic; give ROLE=TOPIC, where ROLE is one of {', '.join(_KINDS)}.")
+        named[role] = topic
+    return robot.model_copy(update={"topics": robot.topics.model_copy(update=named)})

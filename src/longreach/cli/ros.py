@@ -1,0 +1,56 @@
+"""longreach ros: nodes for ROS 1, which are started by hand or by roslaunch."""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from longreach.cli.progress import shown_progress
+
+app = typer.Typer(no_args_is_help=True, help="Nodes for ROS 1: the estimate alone, or a simulated robot.")
+# roslaunch gives a node's name and remappings as NAME:=VALUE, which rospy reads by itself.
+_LAUNCHED = {"allow_extra_args": True}
+_ROBOT = typer.Option("thing", help="A shipped description (thing, husky, …) or a YAML file, with its topics.")
+_TOPIC = typer.Option([], help="ROLE=TOPIC in place of the description's: wheels, lidar, imu, fixes, joints, wrench.")
+
+
+@app.command(context_settings=_LAUNCHED)
+def estimate(
+    context: typer.Context,
+    robot: str = _ROBOT,
+    config: Path | None = typer.Option(
+        None, help="YAML file with the node's settings; under `estimate` the estimate's."
+    ),
+    topic: list[str] = _TOPIC,
+    sources: str | None = typer.Option(
+        None, help="What to fuse, of wheels,lidar,imu,fixes (default: whatever speaks)."
+    ),
+    frame: str | None = typer.Option(None, help="The frame of the estimate: odom; map where fixes place it."),
+    tf: bool | None = typer.Option(None, "--tf/--no-tf", help="Whether tf is sent, too."),
+) -> None:
+    """Estimate from topics: /odometry/filtered, /odometry/settled, tf and /diagnostics."""
+    from longreach.app.warmup import warm_up
+    from longreach.io.config import load_description, read_yaml, validated
+    from longreach.ros.estimate import NodeConfig, run
+    from longreach.ros.sensors import with_topics
+
+    _check(context)
+    description = with_topics(load_description(robot), topic)
+    settings = (read_yaml(config) if config is not None else None) or {}
+    given: dict[str, Any] = {name: value for name, value in (("frame", frame), ("tf", tf)) if value is not None}
+    if sources is not None:
+        names = [name.strip() for name in sources.split(",") if name.strip()]
+        given["estimate"] = {**settings.get("estimate", {}), "sources": names}
+    chosen = validated(NodeConfig, {**settings, **given}, str(config or "the options"))
+    with shown_progress() as progress:
+        warm_up(progress, "estimation")
+    run(description, chosen)
+
+
+def _check(context: typer.Context) -> None:
+    """Refuse what roslaunch did not give."""
+    strange = [argument for argument in context.args if ":=" not in argument]
+    if strange:
+        raise typer.BadParameter(
+            f"{' '.join(strange)} is not known here; see longreach ros {context.info_name} --help."
+        )

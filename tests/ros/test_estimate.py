@@ -1,0 +1,33 @@
+"""A recording played into the node through a real ROS comes out as `longreach estimate` gives it."""
+
+import numpy as np
+import pytest
+from ros_nodes import played
+
+from longreach.app.configuration import EstimateConfig, EvaluationConfig
+from longreach.app.estimate import estimate
+from longreach.io.config import load_description
+from longreach.ros.estimate import in_frame
+from longreach.sim.kinematic import make_recording
+
+
+@pytest.fixture(scope="module")
+def thing():
+    return load_description("thing")
+
+
+def test_a_recording_played_in_comes_out_as_the_estimate_of_it(thing, node, other):
+    recording = make_recording(thing, seed=1, duration=5.0, lidar_rate=20.0, beams=270)
+    recording = recording.replace(wheels=recording.wheels[1:], scans=recording.scans[1:], imu=recording.imu[1:])
+    with node("estimate", "--robot", "thing"):
+        online = other(played, thing, recording, 1.5, "/odometry/settled")
+    fused = estimate(recording, thing, EstimateConfig(evaluation=EvaluationConfig(align="none"))).trajectories["fused"]
+    settled = np.flatnonzero(fused.stamps < fused.stamps[-1] - 0.52).tolist()
+    assert len(settled) > 250
+    errors = []
+    for i in settled:
+        pose, covariance = online[float(fused.stamps[i])]
+        np.testing.assert_allclose(pose, fused.poses[i], atol=1e-6)
+        np.testing.assert_allclose(covariance, in_frame(fused.poses[i], fused.covariance[i]), atol=1e-9)
+        errors.append(np.abs(pose - fused.poses[i]).max())
+    print(len(settled), max(errors))

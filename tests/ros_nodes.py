@@ -1,0 +1,103 @@
+"""ROS 1 in tests: processes, waiting, and a recording that is played in."""
+
+import os
+import socket
+import subprocess
+import time
+from contextlib import contextmanager
+
+import numpy as np
+
+from longreach.io import messages
+from longreach.io.messages import PLANAR
+from longreach.io.records import planar_pose
+from longreach.ros import wire
+
+
+def free_port():
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        return listening.getsockname()[1]
+
+
+def until(condition, seconds=10.0, what="it"):
+    """Wait until a condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"{what} did not come in {seconds:g} s"
+        time.sleep(0.01)
+
+
+@contextmanager
+def process(arguments, environment):
+    """A program that runs while the test does, and is interrupted then."""
+    started = subprocess.Popen(
+        [str(argument) for argument in arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        yield started
+    finally:
+        started.terminate()
+        try:
+            started.communicate(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            started.kill()
+            started.communicate()
+
+
+def this_node(environment):
+    """Make this process a node of the ROS that the environment names."""
+    os.environ.update(environment)
+    wire.start_node("tests", signals=False)
+
+
+@contextmanager
+def listening(topic, kind):
+    """What comes in on a topic, a list that grows, and what waits for somebody to send there."""
+    heard = []
+    subscription = wire.listen(topic, (kind,), heard.append, heard.append)
+    try:
+        yield heard, lambda: until(subscription.get_num_connections, 20.0, f"who sends {topic}")
+    finally:
+        subscription.unregister()
+
+
+def wheels_message(robot, types, stamp, record):
+    """What the Ridgeback's driver says of its wheels."""
+    return messages.joint_state(types, stamp, robot.base.wheel_names, position=record.ticks)
+
+
+def play(robot, recording, speed, ready):
+    """Send a recording's messages at their times, faster by a factor, as soon as all listen and it is ready."""
+    types = wire.message_types()
+    kinds = {
+        "wheels": ("/joint_states", "sensor_msgs/msg/JointState", lambda *args: wheels_message(robot, *args)),
+        "scans": ("/front/scan", "sensor_msgs/msg/LaserScan", messages.laser_scan),
+        "imu": ("/imu/data", "sensor_msgs/msg/Imu", messages.imu),
+        "fixes": ("/fixes", "geometry_msgs/msg/PoseWithCovarianceStamped", messages.pose_with_covariance),
+    }
+    kinds = {kind: way for kind, way in kinds.items() if getattr(recording, kind)}
+    publishers = {kind: wire.Publisher(topic, type) for kind, (topic, type, _) in kinds.items()}
+    until(lambda: all(publisher.listeners for publisher in publishers.values()), 20.0, "the node")
+    ready()
+    rows = sorted(
+        ((record.stamp, kind, record) for kind in kinds for record in getattr(recording, kind)), key=lambda row: row[0]
+    )
+    start, began = rows[0][0], time.monotonic()
+    for stamp, kind, record in rows:
+        time.sleep(max((stamp - start) / speed - (time.monotonic() - began), 0.0))
+        publishers[kind].send(kinds[kind][2](types, stamp, record))
+
+
+def played(robot, recording, speed, topic, rest=1.0):
+    """Play a recording, and return what odometry comes out on a topic: stamp → pose (3,) and covariance (3, 3)."""
+    with listening(topic, "nav_msgs/msg/Odometry") as (heard, ready):
+        play(robot, recording, speed, ready)
+        time.sleep(rest)
+    return {
+        (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) / 10**9: (
+            planar_pose(message.pose.pose.position, message.pose.pose.orientation),
+            np.array(message.pose.covariance)[PLANAR].reshape(3, 3),
+        )
+        for message in heard
+    }
