@@ -1,7 +1,7 @@
 """The robot's side of a system that others command: `tracker`'s loop around whatever is asked for from outside.
 
-All that is critical in time happens here. Commands and plans come as `Orders`, from wherever; what the loop knew and did
-goes out as a `Moment`, to whomever. There is no network in here.
+All that is critical in time happens here. Commands and plans come as `Orders`, from wherever; what the loop knew and
+did goes out as a `Moment`, to whomever. There is no network in here.
 """
 
 import time

@@ -1,6 +1,7 @@
 """longreach connect: the client's side: watch a robot that is served somewhere, and command it."""
 
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -22,11 +23,9 @@ def command(
     duration: float | None = typer.Option(None, help="Watch, or drive, for so many seconds; else until interrupted."),
 ) -> None:
     """Watch a robot over the network, or let it do one thing."""
-    import time
-
     import numpy as np
 
-    from longreach.cli.watching import numbers, watched
+    from longreach.cli.watching import watched
     from longreach.live.client import connect
     from longreach.planning.planner import check_method
 
@@ -38,22 +37,39 @@ def command(
             client.reset()
         if gripper is not None:
             client.gripper(gripper)
-        if move_to is not None:
-            client.move_to(numbers(move_to, (client.robot.dof, client.robot.dof - client.robot.base.stop), "--move-to"))
-        if tool_by is not None:
-            T = client.robot.forward(client.state.q)
-            T[:3, 3] += numbers(tool_by, (3,), "--tool-by")
-            client.move_to(T, method=method)  # type: ignore[arg-type]
-        if plan is not None:
-            from longreach.io.reference import read_reference
-
-            client.execute(client.plan(read_reference(plan), method))  # type: ignore[arg-type]
+        _move(client, method, move_to, tool_by, plan)
         if velocity is not None:
-            twist, until = numbers(velocity, (3,), "--velocity"), time.monotonic() + (duration or 1.0)
-            while time.monotonic() < until:
-                client.velocity(base=np.array(twist))
-                time.sleep(0.02)
-            client.velocity()
+            _drive(client, velocity, duration or 1.0)
         if not any((stop, reset, gripper is not None, move_to, tool_by, plan, velocity)):
             watched(client, duration)
         typer.echo(f"The robot is at {np.array2string(client.state.q, precision=3, suppress_small=True)}.")
+
+
+def _move(client: Any, method: str, move_to: str | None, tool_by: str | None, plan: Path | None) -> None:
+    """Move to a configuration, the tool by a way, along a reference: whatever is given."""
+    from longreach.cli.watching import numbers
+
+    robot = client.robot
+    if move_to is not None:
+        client.move_to(numbers(move_to, (robot.dof, robot.dof - robot.base.stop), "--move-to"))
+    if tool_by is not None:
+        T = robot.forward(client.state.q)
+        T[:3, 3] += numbers(tool_by, (3,), "--tool-by")
+        client.move_to(T, method=method)
+    if plan is not None:
+        from longreach.io.reference import read_reference
+
+        client.execute(client.plan(read_reference(plan), method))
+
+
+def _drive(client: Any, velocity: str, duration: float) -> None:
+    """Drive the base for a time [s]."""
+    import time
+
+    from longreach.cli.watching import numbers
+
+    twist, until = numbers(velocity, (3,), "--velocity"), time.monotonic() + duration
+    while time.monotonic() < until:
+        client.velocity(base=twist)
+        time.sleep(0.02)
+    client.velocity()

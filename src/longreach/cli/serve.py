@@ -1,6 +1,8 @@
 """longreach serve: the robot's side, for others to watch and command over a network."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -21,44 +23,69 @@ def command(
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
     import logging
-    import signal
     import sys
-    import time
 
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.io.robots import load_robot
-    from longreach.live.server import Server, ServerConfig
-    from longreach.live.serving import described, serve, simulated
+    from longreach.live.door import Refusals
+    from longreach.live.refused_links import counted
+    from longreach.live.server import ServerConfig
+    from longreach.live.serving import described, rehearse, serve
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
-    reason: list[str] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: reason.append("The server was told to end."))
-    loaded = load_robot(robot)
-    config = ServerConfig(address, token, certificates)
+    loaded, config, refusals = load_robot(robot), ServerConfig(address, token, certificates), Refusals()
     with shown_progress() as progress:
         warm_up(progress, "estimation", "kinematics", "control", "sim")
+        progress("rehearsing", 0.0)
+        rehearse(loaded)
+    body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
     sys.setswitchinterval(5e-4)  # the loop's thread does not wait long for the network's
-    began = time.monotonic()
 
-    def ended() -> str:
-        if duration is not None and time.monotonic() - began > duration:
-            reason.append("The time is over.")
-        return reason[0] if reason else ""
-
-    def ready(server: Server) -> None:
+    def ready(_: Any) -> None:
         typer.echo(f"Serving {loaded.name} at {address}; longreach connect {address} watches it. Ctrl-C ends it.")
         sys.stdout.flush()
 
-    body = simulated(hardware, loaded, world, seed, scans)
-    rhythm = serve(
-        body, None, loaded, described(robot), config, ended,
-        record=record, scans=scans or hardware == "sim", ready=ready,
-    )  # fmt: skip
+    with counted(refusals):
+        rhythm = serve(
+            body, wait_until, loaded, described(robot), config, _ended(duration),
+            record=record, scans=scans, refusals=refusals, ready=ready,
+        )  # fmt: skip
+    busy = rhythm.busy
     typer.echo(
-        f"{rhythm.ticks} ticks, {rhythm.late} late; a tick took {1e3 * rhythm.busy.percentile(50):.1f} ms, "
-        f"{1e3 * rhythm.busy.percentile(99):.1f} ms at the 99th percentile."
+        f"{rhythm.ticks} ticks, {rhythm.late} late; a tick took {1e3 * busy.percentile(50):.1f} ms, "
+        f"{1e3 * busy.percentile(99):.1f} ms at the 99th percentile."
     )
+    for why, count in sorted(refusals.counts.items()):
+        typer.echo(f"Refused {count}: {why}.")
     if record is not None:
         typer.echo(f"The recording is {record}.")
+
+
+def _hardware(kind: str, robot: Any, world: str, seed: int, scans: bool) -> tuple[Any, Any, bool]:
+    """Return the hardware, what waits in its time (None: the wall's), and whether it has scans."""
+    if kind == "ros":
+        from longreach.ros.hardware import connect_ros
+
+        body = connect_ros(robot)
+        return body, body.wait_until, robot.description.lidar is not None
+    from longreach.live.serving import simulated
+
+    return simulated(kind, robot, world, seed, scans), None, scans or kind == "sim"
+
+
+def _ended(duration: float | None) -> Callable[[], str]:
+    """Return what tells why it shall end: the time is over, or the process was told to."""
+    import signal
+    import time
+
+    began, told = time.monotonic(), []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: told.append("The server was told to end."))
+
+    def ended() -> str:
+        if told:
+            return told[0]
+        return "The time is over." if duration is not None and time.monotonic() - began > duration else ""
+
+    return ended

@@ -215,8 +215,9 @@ class Client:
         Raises:
             PlanningError: there is no way there.
         """
-        make = motions.along if isinstance(goal, Reference) else motions.to_pose
-        return make(self._robot, self.state.q, goal, method)
+        if isinstance(goal, Reference):
+            return motions.along(self._robot, self.state.q, goal, method)
+        return motions.to_pose(self._robot, self.state.q, goal, method)
 
     def execute(
         self, trajectory: ConfigurationTrajectory, wait: bool = True, timeout: float | None = None
@@ -231,14 +232,12 @@ class Client:
         return self._wait_for(int(answer.split()[-1]), trajectory.duration, timeout) if wait else self.state
 
     def _wait_for(self, plan: int, duration: float, timeout: float | None) -> LiveState:
-        ears = self._ears
-
         def over() -> LiveState | None:
-            state = ears.state
-            started = state is not None and state.plan >= plan
-            return state if started and (state.plan > plan or state.goal != "follow" or state.latched) else None
+            state = self.state
+            ended = state.plan > plan or (state.plan == plan and (state.goal != "follow" or state.latched))
+            return state if ended else None
 
-        state = ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
+        state = self._ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
         if state is None:
             raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
         if state.plan > plan or state.progress < 1.0:

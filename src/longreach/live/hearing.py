@@ -1,8 +1,10 @@
 """What a client hears: messages become a `LiveState`, frames, readings; what is lost on the way is counted."""
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from threading import Condition
 from typing import Any, TypeVar
@@ -22,6 +24,16 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 _KEPT = 1000  # readings of a kind that nobody has asked for
 
 _T = TypeVar("_T")
+_LOG = logging.getLogger("longreach.live")
+
+
+def _call(callbacks: list[Callable[[_T], None]], value: _T) -> None:
+    """Call back; one that fails is logged, and the others are called all the same."""
+    for callback in tuple(callbacks):
+        try:
+            callback(value)
+        except Exception:
+            _LOG.exception("A callback has failed.")
 
 
 class Ears:
@@ -48,6 +60,7 @@ class Ears:
             keys.ESTIMATE: partial(self._parts.__setitem__, keys.ESTIMATE),
             keys.WHEELS_ALONE: partial(self._parts.__setitem__, keys.WHEELS_ALONE),
             keys.TRUTH: partial(self._parts.__setitem__, keys.TRUTH),
+            keys.TOOL_TRUTH: partial(self._parts.__setitem__, keys.TOOL_TRUTH),
             keys.REFERENCE: partial(self._parts.__setitem__, keys.REFERENCE),
             keys.STATUS: self._take_status,
             keys.ARM: self._take_arm,
@@ -61,20 +74,22 @@ class Ears:
 
     def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
         """Take a message; one that is none, or too large, is counted and passed over."""
+        came = time.time_ns()
         try:
             if len(sample.payload) > topic.limit or sample.attachment is None:
                 raise ValueError
             about, _ = attached(bytes(sample.attachment))
             message = topic.unpack(bytes(sample.payload))
+            take(message)
         except Exception:
             self.malformed += 1
+            _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
             return
-        self.delays.append(1e-9 * (time.time_ns() - about.sent_ns))
+        self.delays.append(1e-9 * (came - about.sent_ns))
         before = self._numbers.get(about.sender)
         if before is not None:
             self.lost += max(about.number - before - 1, 0)
         self._numbers[about.sender] = about.number
-        take(message)
 
     def _take_status(self, message: Any) -> None:
         one = message.status[0]
@@ -90,7 +105,7 @@ class Ears:
         arm = robot.joint_names[robot.arm]
         q = np.array([joints[name] for name in arm])
         v = np.array([speeds.get(name, 0.0) for name in arm])
-        pose, covariance, wheels, truth = np.zeros(3), np.zeros((3, 3)), np.zeros(3), None
+        pose, covariance, wheels, truth, tool = np.zeros(3), np.zeros((3, 3)), np.zeros(3), None, None
         if robot.base.stop:
             if keys.ESTIMATE not in self._parts or keys.WHEELS_ALONE not in self._parts:
                 return
@@ -102,13 +117,15 @@ class Ears:
         if keys.TRUTH in self._parts:
             known = records.stamped_pose(self._parts[keys.TRUTH])
             truth = None if known is None else known[0]
+        if keys.TOOL_TRUTH in self._parts:
+            tool = orders.tool(self._parts[keys.TOOL_TRUTH])
         reference, status = q, self.status
         if status.get("goal") == "follow" and keys.REFERENCE in self._parts:
             reference = np.array(self._parts[keys.REFERENCE].position)
         self.frames.add(stamp, tuple(message.name), np.array(message.position), pose, wheels)
         self._keep("joints", message, records.joints(message, robot.description))
         self._tell(LiveState(
-            stamp, q, v, covariance, wheels, truth, joints, reference,
+            stamp, q, v, covariance, wheels, truth, tool, joints, reference,
             progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
             goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
             stop=status.get("stop", ""), latched=status.get("latched") == "1",
@@ -125,16 +142,14 @@ class Ears:
         with self.changed:
             self.state, self.heard = state, time.monotonic()
             self.changed.notify_all()
-        for callback in tuple(self.on_state):
-            callback(state)
+        _call(self.on_state, state)
 
     def _take_scan(self, message: Any) -> None:
         make = records.laser_scan(message, self.robot.description.lidar)
-        self._keep("scans", message, make)
-        if self._new["scans"]:
-            self.scan = self._new["scans"][-1]
-            for callback in tuple(self.on_scan):
-                callback(self.scan)
+        if make is not None:
+            self.scan = scan = make(stamp=orders.stamp_of(message))
+            self._new["scans"].append(scan)
+            _call(self.on_scan, scan)
 
     def _take_plan(self, message: Any) -> None:
         self.plan = orders.trajectory(message, self.robot)
@@ -146,7 +161,7 @@ class Ears:
     def readings(self, stamp: float) -> Readings:
         """Return what has come since the last call."""
         taken = {kind: tuple(new.popleft() for _ in range(len(new))) for kind, new in self._new.items()}
-        return Readings(stamp, **taken)
+        return replace(Readings(stamp), **taken)
 
     def wait(self, ready: Callable[[], _T | None], timeout: float) -> _T | None:
         """Return what `ready` returns as soon as that is something, or None after a time [s]."""

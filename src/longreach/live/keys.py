@@ -6,6 +6,7 @@ sending [ns] and who sent it. Source: rmw_zenoh, docs/design.md and attachment_h
 
 import struct
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-TYPES = STORE.types
+TYPES: Mapping[str, Any] = STORE.types
 _ATTACHED = struct.Struct("<qqB16s")  # the 1 byte is the length of what follows
 MAC_SIZE = 16
 
@@ -51,6 +52,7 @@ ARM = Topic("/arm/joint_states", "sensor_msgs/msg/JointState", 65536)
 ESTIMATE = Topic("/odometry/filtered", "nav_msgs/msg/Odometry")
 WHEELS_ALONE = Topic("/odom", "nav_msgs/msg/Odometry")
 TRUTH = Topic("/truth", "geometry_msgs/msg/PoseStamped")
+TOOL_TRUTH = Topic("/tool/truth", "geometry_msgs/msg/PoseStamped")
 REFERENCE = Topic("/reference", "sensor_msgs/msg/JointState", 65536)
 STATUS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 65536)
 SCAN = Topic("/scan", "sensor_msgs/msg/LaserScan", 1 << 20)

@@ -8,9 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from longreach.app.goals import Follow
 from longreach.app.robot_side import Moment, Orders
 from longreach.app.tracker import TrackerConfig
@@ -22,12 +19,13 @@ from longreach.live.link import open_server, zenoh
 from longreach.live.listener import Listener
 from longreach.live.recorder import Recorder
 from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim.simulated import Truth
 
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
 _STREAMS = (
-    keys.ARM, keys.ESTIMATE, keys.WHEELS_ALONE, keys.TRUTH, keys.REFERENCE, keys.STATUS, keys.SCAN, keys.WHEELS,
-    keys.IMU, keys.WRENCH, keys.TF, keys.TF_STATIC, keys.PLAN,
+    keys.ARM, keys.ESTIMATE, keys.WHEELS_ALONE, keys.TRUTH, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.SCAN,
+    keys.WHEELS, keys.IMU, keys.WRENCH, keys.TF, keys.TF_STATIC, keys.PLAN,
 )  # fmt: skip
 
 
@@ -43,7 +41,7 @@ class ServerConfig:
 class Server:
     """A robot on the network; `take` and `publish` are what `robot_side.run` needs.
 
-    Arguments: description: the robot's YAML and its URDF; truth: tells where the base really is, where that is known;
+    Arguments: description: the robot's YAML and its URDF; truth: tells what really is, where that is known;
     recorder: is given all that is said.
     """
 
@@ -53,8 +51,9 @@ class Server:
         description: tuple[str, str],
         config: ServerConfig,
         tracker: TrackerConfig,
-        truth: Callable[[], Float[np.ndarray, "3"]] | None = None,
+        truth: Callable[[], Truth] | None = None,
         recorder: Recorder | None = None,
+        refusals: Refusals | None = None,
     ) -> None:
         self._robot, self._truth, self._recorder = robot, truth, recorder
         self._nonce = secrets.token_bytes(16)
@@ -66,7 +65,7 @@ class Server:
         self._published = time.monotonic()
         self._progress, self._plans = 0.0, 0
         self._status, self._status_due, self._frames_due = "", 0.0, 0.0
-        self.refusals = Refusals()
+        self.refusals = refusals or Refusals()
         self._session = open_server(config.address, config.token, config.certificates)
         door = Door(config.token, self._nonce, self.refusals)
         self._listener = Listener(self._session, robot, door, lambda: self._moment, tracker.before)

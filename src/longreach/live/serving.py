@@ -1,20 +1,25 @@
 """A robot served: hardware, loop, network and recording, until somebody ends it."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from longreach.app import robot_side
 from longreach.app.configuration import EstimateConfig
+from longreach.app.goals import Direct, Follow, Reach
 from longreach.app.paced import Paced
 from longreach.app.tracker import TrackerConfig
-from longreach.control.hardware import Hardware
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control.hardware import Command, Hardware
 from longreach.control.safety_config import SafetyConfig
 from longreach.control.ticker import Ticker
 from longreach.errors import ConfigError
 from longreach.io.config import description_file, to_yaml
 from longreach.io.robots import load_robot
+from longreach.live import telling
+from longreach.live.door import Refusals
 from longreach.live.recorder import recording
 from longreach.live.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -25,6 +30,7 @@ from longreach.sim.sensors import SensorConfig, Timing
 from longreach.sim.simulated import Simulated
 
 SIMULATED = ("sim", "kinematic")
+_REHEARSED = 60  # ticks
 _SELDOM = SensorConfig(truth=Timing(rate=1e-3, latency=0.0))  # the truth is asked for; none is to pile up
 
 
@@ -67,6 +73,25 @@ def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = T
     )
 
 
+def rehearse(robot: MobileManipulator) -> None:
+    """Do all that the loop does, on a robot that only pretends, so that no tick has to load or compile anything."""
+    with suppress(ConfigError):  # it cannot be simulated
+        body = simulated("kinematic", robot, "laboratory", 0)
+        still = ConfigurationTrajectory(np.array([0.0, 0.1]), np.stack([robot.home, robot.home]))
+        goals = iter([Follow(still, 0.0), Reach(robot.forward(robot.home)), Direct(Command(0.0, np.zeros(6)), 0.0)])
+        moments: list[robot_side.Moment] = []
+
+        def orders(now: float) -> robot_side.Orders:
+            return robot_side.Orders(goal=next(goals, None) if len(moments) % 4 == 3 else None)
+
+        robot_side.run(
+            body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, moments.append,
+            lambda: "The rehearsal is over." if len(moments) > _REHEARSED else "", tracker_config(body, robot),
+        )  # fmt: skip
+        for topic, message in [m for moment in moments for m in telling.state(robot, moment, body.truth())]:
+            topic.pack(message)
+
+
 def serve(
     hardware: Hardware,
     wait_until: Callable[[float], None] | None,
@@ -77,6 +102,7 @@ def serve(
     *,
     record: Path | None = None,
     scans: bool = True,
+    refusals: Refusals | None = None,
     ready: Callable[[Server], None] = lambda server: None,
 ) -> Ticker:
     """Serve a robot until `ended` says why it shall end; wait_until: None paces a simulated one to the wall's time.
@@ -86,13 +112,13 @@ def serve(
     """
     truth, base = None, np.zeros(3)
     if isinstance(hardware, Simulated):
-        truth, base = (lambda: hardware.truth().base), hardware.truth().base
+        truth, base = hardware.truth, hardware.truth().base
     if wait_until is None:
         assert isinstance(hardware, Simulated)
         wait_until = Paced(hardware)
     settings = tracker_config(hardware, robot, scans)
     with recording(record) as recorder:
-        server = Server(robot, description, config, settings, truth, recorder)
+        server = Server(robot, description, config, settings, truth, recorder, refusals)
         try:
             ready(server)
             return robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)

@@ -15,7 +15,7 @@ class LiveState:
     velocity (n,): its body twist [v_x, v_y, ω], then the arm's joints [rad/s].
     covariance (3, 3): of the error ξ of the base's pose, in its own frame.
     wheels (3,): where the wheels alone say it is (the frame odom is placed by it: map → odom → base_link).
-    truth (3,): where the base really is, where that is known, else None.
+    truth (3,), tool_truth (4, 4): where base and tool really are, where that is known, else None.
     joints: all that move, fingers included, by their names [rad].
     reference (n,): where the plan is now; q where no plan runs.
     progress: how much of the plan is done, 0 to 1; plan: its number. goal: what it does: hold, direct, reach, follow.
@@ -30,6 +30,7 @@ class LiveState:
     covariance: Float[np.ndarray, "3 3"]
     wheels: Float[np.ndarray, "3"]
     truth: Float[np.ndarray, "3"] | None
+    tool_truth: Float[np.ndarray, "4 4"] | None
     joints: Mapping[str, float]
     reference: Float[np.ndarray, " n"]
     progress: float = 0.0

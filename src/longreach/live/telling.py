@@ -14,6 +14,7 @@ from longreach.live.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
 from longreach.live.keys import TYPES, Topic
 from longreach.measurement import Odometry, WheelSpeeds
 from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.sim.simulated import Truth
 
 Said = Iterator[tuple[Topic, Any]]
 
@@ -23,7 +24,7 @@ def goal_name(moment: Moment) -> str:
     return type(moment.state.goal).__name__.lower()
 
 
-def state(robot: MobileManipulator, moment: Moment, truth: np.ndarray | None) -> Said:
+def state(robot: MobileManipulator, moment: Moment, truth: Truth | None) -> Said:
     """Yield what makes a `LiveState`; the arm comes last and completes it."""
     tick, stamp = moment.tick, moment.tick.stamp
     newest = moment.state.localizer.filter.belief
@@ -33,7 +34,8 @@ def state(robot: MobileManipulator, moment: Moment, truth: np.ndarray | None) ->
         yield keys.WHEELS_ALONE, messages.odometry(TYPES, stamp, Odometry(stamp, moment.wheels))
         yield keys.ESTIMATE, messages.odometry(TYPES, stamp, said, MAP)
     if truth is not None:
-        yield keys.TRUTH, messages.pose_stamped(TYPES, stamp, truth)
+        yield keys.TRUTH, messages.pose_stamped(TYPES, stamp, truth.base)
+        yield keys.TOOL_TRUTH, messages.tool_pose(TYPES, stamp, truth.tool)
     if isinstance(moment.state.goal, Follow):
         yield keys.REFERENCE, messages.joint_state(TYPES, stamp, robot.joint_names, tick.q_reference)
     names, position, velocity = _joints(robot, moment)
@@ -65,9 +67,7 @@ def sensors(robot: MobileManipulator, moment: Moment) -> Said:
     for wheels in readings.wheels:
         if isinstance(wheels, Odometry) or base is None:
             continue  # a driver's own odometry is in the estimate
-        speeds = isinstance(wheels, WheelSpeeds)
         values = {"velocity": wheels.speeds} if isinstance(wheels, WheelSpeeds) else {"position": wheels.ticks}
-        assert speeds or "position" in values
         yield keys.WHEELS, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
     for imu in readings.imu:
         yield keys.IMU, messages.imu(TYPES, imu.stamp, imu)
