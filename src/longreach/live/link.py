@@ -18,6 +18,7 @@ from longreach.errors import LiveError
 from longreach.live.keys import MAC_SIZE
 
 USER = "longreach"
+PROTOCOL = "tcp"  # without certificates; the tests' lossy network takes udp
 _LARGEST = 1 << 25  # message that is put together from its parts [bytes]; everything of ours is half of that at most
 
 
@@ -140,7 +141,7 @@ def _is_loopback(host: str) -> bool:
 
 def _endpoint(address: str, certificates: Path | None) -> str:
     host, port = _split(address)
-    return f"{'tcp' if certificates is None else 'tls'}/{host}:{port}"
+    return f"{PROTOCOL if certificates is None else 'tls'}/{host}:{port}"
 
 
 def _tls(folder: Path, files: Mapping[str, str]) -> dict[str, Any]:

@@ -1,0 +1,172 @@
+"""The robot's side: it does what it is asked for, as long as whoever asked is there, and stops within its limits."""
+
+import numpy as np
+import pytest
+
+import longreach as lr
+from longreach.app import robot_side, tracker
+from longreach.app.configuration import EstimateConfig
+from longreach.app.estimate import estimate
+from longreach.app.goals import Direct, Follow, Hold, Reach
+from longreach.app.robot_side import Orders
+from longreach.app.tracker import TrackerConfig
+from longreach.configuration import ConfigurationTrajectory
+from longreach.control.hardware import Command, GripperCommand
+from longreach.control.safety_config import SafetyConfig
+from longreach.measurement import Recording
+from longreach.sim.kinematic_robot import KinematicRobot
+
+_CONFIG = TrackerConfig(
+    estimate=EstimateConfig(sources=("wheels", "imu")),
+    safety=SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, heartbeat_timeout=0.24),
+)
+_TWIST = np.array([0.3, 0.1, 0.2])
+
+
+@pytest.fixture(scope="module")
+def thing():
+    return lr.load_robot("thing")
+
+
+def _serve(thing, orders, duration):
+    """Serve a simulated robot, whose time costs nothing; orders: from the time [s] to `Orders`."""
+    body, moments = KinematicRobot(thing, seed=2), []
+    robot_side.run(
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3), orders, moments.append,
+        lambda: "over" if body.stamp >= duration else "", _CONFIG,
+    )  # fmt: skip
+    return body, moments
+
+
+def _speeds(moments):
+    return np.array([m.tick.command.arm for m in moments]), np.array([m.state.gate.twist for m in moments])
+
+
+def _within_limits(thing, moments):
+    arm, base = _speeds(moments)
+    hardest = thing.limits.acceleration * 0.008 + 1e-9
+    assert np.all(np.abs(np.diff(arm, axis=0)) <= hardest[thing.arm])
+    assert np.all(np.abs(np.diff(base, axis=0)) <= hardest[thing.base])
+
+
+def test_a_robot_that_is_asked_for_nothing_stands(thing):
+    body, moments = _serve(thing, lambda now: Orders(), 0.2)
+    arm, base = _speeds(moments)
+    assert not arm.any()
+    assert not base.any()
+    assert all(m.tick.stop is None for m in moments)
+    assert body.stopped == "over"
+
+
+def test_it_drives_as_it_is_told_and_stands_when_nobody_tells_it_any_more(thing):
+    def orders(now):
+        told = Direct(Command(now, np.full(6, 0.1), base=_TWIST), now) if 0.1 < now < 0.6 else None
+        return Orders(goal=told, heartbeat=now)
+
+    _, moments = _serve(thing, orders, 1.2)
+    arm, base = _speeds(moments)
+    t = np.array([m.tick.stamp for m in moments])
+    assert np.allclose(base[(t > 0.4) & (t < 0.6)], _TWIST)
+    assert np.allclose(arm[(t > 0.4) & (t < 0.6)], 0.1)
+    assert np.abs(base[t > 0.6 + 0.25 + 0.25]).max() == 0.0
+    assert isinstance(moments[-1].state.goal, Hold)
+    assert moments[-1].tick.stop is None  # it is not stopped, it stands
+    _within_limits(thing, moments)
+
+
+def test_a_tool_is_pulled_to_its_pose_while_the_base_stands(thing):
+    T = thing.forward(thing.home)
+    T[:3, 3] += [0.05, -0.04, 0.06]
+    _, moments = _serve(thing, lambda now: Orders(goal=Reach(T) if now < 0.05 else None), 1.8)
+    reached = thing.forward(np.concatenate([np.zeros(3), moments[-1].tick.q[3:]]))
+    assert np.linalg.norm(reached[:3, 3] - T[:3, 3]) < 1e-3
+    assert not _speeds(moments)[1].any()
+    J = thing.forward_and_jacobian_batch(np.array([m.tick.q for m in moments]))[1]
+    speed = np.linalg.norm(np.einsum("nij,nj->ni", J[:, :3, thing.arm], _speeds(moments)[0]), axis=1)
+    assert 0.2 < speed.max() < 0.26
+    _within_limits(thing, moments)
+
+
+def _turn(thing, by=0.3, time=1.0):
+    goal = thing.home.copy()
+    goal[3] += by
+    return ConfigurationTrajectory(np.array([0.0, time]), np.stack([thing.home, goal]), (), np.zeros((2, 9)))
+
+
+def test_a_plan_is_followed_to_its_end_as_the_tracker_follows_it_and_then_the_robot_stands(thing):
+    plan, body, ticks = _turn(thing, 0.1, 0.4), KinematicRobot(thing, seed=2), []
+    config = _CONFIG.model_copy(update={"before": 0.1, "after": 0.3})
+    tracker.run(
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, plan, np.zeros(3),
+        config, lambda tick, part: ticks.append(tick), lambda: body.stamp,
+    )  # fmt: skip
+    begun = ticks[0].stamp
+    _, moments = _serve(
+        thing, lambda now: Orders(goal=Follow(plan, -0.1) if now <= begun else None), ticks[-1].stamp + 0.3
+    )
+    ours = {m.tick.stamp: m.tick.q for m in moments}
+    assert all(np.array_equal(tick.q, ours[tick.stamp]) for tick in ticks)
+    assert moments[-1].tick.q[3] == pytest.approx(0.1, abs=2e-3)
+    assert max(m.state.goal.progress for m in moments if isinstance(m.state.goal, Follow)) == 1.0
+    assert isinstance(moments[-1].state.goal, Hold)
+
+
+def test_a_stop_brakes_within_the_limits_and_holds_until_the_reset(thing):
+    def orders(now):
+        told = Direct(Command(now, np.full(6, 0.3), base=_TWIST), now)
+        return Orders(goal=told, stop="Stop!" if 0.5 < now < 0.51 else "", reset=1.0 < now < 1.01, heartbeat=now)
+
+    _, moments = _serve(thing, orders, 1.5)
+    t = np.array([m.tick.stamp for m in moments])
+    _, base = _speeds(moments)
+    stopped = [m for m in moments if m.tick.stop is not None]
+    assert {m.tick.stop.reason for m in stopped} == {"Stop!"}
+    assert stopped[0].tick.stamp - 0.5 < 0.02  # at the tick after it came
+    assert np.abs(base[(t > 0.9) & (t < 1.0)]).max() == 0.0
+    assert np.allclose(base[-1], _TWIST)
+    _within_limits(thing, moments)
+
+
+def test_a_client_that_vanishes_stops_the_robot_and_its_plan_waits_for_it(thing):
+    plan, begin, back = _turn(thing, 0.5, 0.8), 0.4, 1.0
+
+    def orders(now):
+        heard = begin if begin < now < back else now
+        return Orders(goal=Follow(plan, 0.0) if now < 0.01 else None, heartbeat=heard)
+
+    _, moments = _serve(thing, orders, 1.8)
+    first = next(m.tick for m in moments if m.tick.stop is not None)
+    assert first.stop.cause == "client gone"
+    assert first.stamp - begin < 0.25
+    arm, _ = _speeds(moments)
+    t = np.array([m.tick.stamp for m in moments])
+    assert np.abs(arm[(t > begin + 0.45) & (t < back)]).max() < 1e-9
+    assert moments[-1].tick.q[3] == pytest.approx(0.5, abs=5e-3)
+    _within_limits(thing, moments)
+
+
+def test_a_client_that_is_gone_for_long_is_not_waited_for(thing):
+    plan = _turn(thing)
+
+    def orders(now):
+        return Orders(goal=Follow(plan, 0.0) if now < 0.02 else None, heartbeat=now - 3.0 if now > 0.05 else now)
+
+    _, moments = _serve(thing, orders, 0.1)
+    assert isinstance(moments[-1].state.goal, Hold)
+
+
+def test_the_pose_by_the_wheels_alone_is_the_one_of_an_estimate_from_the_recording(thing):
+    def orders(now):
+        return Orders(goal=Direct(Command(now, base=_TWIST), now), heartbeat=now)
+
+    _, moments = _serve(thing, orders, 1.0)
+    records = tuple(w for m in moments for w in m.readings.wheels)
+    imu = tuple(i for m in moments for i in m.readings.imu)
+    path = estimate(Recording("again", wheels=records, imu=imu), thing).trajectories["wheels"]
+    assert np.allclose(moments[-1].wheels, path.poses[-1], atol=2e-3)  # the first reading belongs to the start
+
+
+def test_the_fingers_do_what_they_are_told(thing):
+    wish = GripperCommand("position", 0.3)
+    _, moments = _serve(thing, lambda now: Orders(gripper=wish if now < 0.01 else None), 1.0)
+    assert moments[-1].readings.gripper.closed == pytest.approx(0.3, abs=0.02)
