@@ -1,5 +1,6 @@
 """longreach ros: nodes for ROS 1, which are started by hand or by roslaunch."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,34 @@ def estimate(
     with shown_progress() as progress:
         warm_up(progress, "estimation")
     run(description, chosen)
+
+
+@app.command(context_settings=_LAUNCHED)
+def robot(
+    context: typer.Context,
+    robot: str = _ROBOT,
+    topic: list[str] = _TOPIC,
+    world: str = typer.Option("laboratory", help="laboratory, office, corridor, warehouse, hall, or a YAML file."),
+    seed: int = typer.Option(0, help="Seed of everything random."),
+    physics: bool = typer.Option(True, "--physics/--no-physics", help="With forces, or without for less work."),
+    config: Path | None = typer.Option(None, help="YAML file with the node's settings: topics, controller, safety."),
+) -> None:
+    """Simulate a robot behind the topics of the thesis': sensors out, /cmd_vel and a trajectory action in."""
+    from longreach.app.warmup import warm_up
+    from longreach.io.config import read_config
+    from longreach.io.robots import load_robot
+    from longreach.ros.robot import RobotConfig, run
+    from longreach.ros.sensors import with_topics
+    from longreach.sim.kinematic_robot import KinematicRobot
+    from longreach.sim.physics import Simulation
+
+    _check(context)
+    loaded = load_robot(robot)
+    loaded = replace(loaded, description=with_topics(loaded.description, topic))
+    settings = read_config(config, RobotConfig) if config is not None else RobotConfig()
+    with shown_progress() as progress:
+        warm_up(progress, "estimation", "control", "sim")
+    run(loaded, (Simulation if physics else KinematicRobot)(loaded, world, seed=seed), settings)
 
 
 def _check(context: typer.Context) -> None:

@@ -143,6 +143,11 @@ def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refu
     return rospy().Subscriber(topic, rospy().AnyMsg, unpack, queue_size=_QUEUE, tcp_nodelay=True)
 
 
+def complain(sentence: str) -> None:
+    """Say on the node's log what is wrong with what others send, no more than once a second."""
+    rospy().logwarn_throttle(1.0, sentence)
+
+
 @cache
 def _packed(kind: str) -> Any:
     """Return a class of rospy's messages that holds packed bytes of a type."""
