@@ -61,7 +61,8 @@ class RobotSide:
 def step(side: RobotSide, readings: Readings, orders: Orders) -> tuple[RobotSide, Command, Tick]:
     """Take the orders and do one tick."""
     state, now = side.tracker, readings.stamp
-    goal, gate = orders.goal or _carried_on(state, orders, now), state.gate
+    gate = state.gate
+    goal = _carried_on(state, orders, now) if orders.goal is None else orders.goal  # a Hold is empty, and so false
     if orders.reset:
         gate = safety.reset(gate)
     if orders.stop:

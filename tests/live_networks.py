@@ -1,0 +1,137 @@
+"""A robot that is served by a process of its own, and networks between it and a client that misbehave."""
+
+import asyncio
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+# Shapes are not checked in the server's process, where that is too slow. UDP has no option: it is for tests alone.
+_SERVE = "import sys; from longreach.live import link; link.PROTOCOL = sys.argv.pop(1); \
+from longreach.cli.main import main; main(sys.argv[1:])"
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+class Served:
+    """`longreach serve` with a simulated Thing, without scans."""
+
+    def __init__(self, folder, *options, protocol="tcp"):
+        self.port = free_port()
+        self.address = f"127.0.0.1:{self.port}"
+        self.log = Path(folder) / f"server-{self.port}.log"
+        command = ["serve", "--hardware", "kinematic", "--no-scans", "--address", self.address, *options]
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", _SERVE, protocol, *map(str, command)], stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def ready(self):
+        until = time.monotonic() + 60.0
+        while "Serving" not in self.output:
+            assert self.process.poll() is None, self.output
+            assert time.monotonic() < until, self.output
+            time.sleep(0.05)
+        return self
+
+    @property
+    def output(self):
+        return self.log.read_text()
+
+    def end(self):
+        """End it as an operator does, and return what it said."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        self.process.wait(20.0)
+        return self.output
+
+
+class Network:
+    """A network between a client and a server, TCP, that can be slow or cut."""
+
+    def __init__(self, port):
+        self.to, self.port, self.delay, self.cut = port, free_port(), 0.0, False
+        self._loop, self._ready = asyncio.new_event_loop(), threading.Event()
+        threading.Thread(target=self._run, daemon=True).start()
+        assert self._ready.wait(5.0)
+        self.address = f"127.0.0.1:{self.port}"
+
+    def _run(self):
+        asyncio.set_event_loop(self._loop)
+        self._server = self._loop.run_until_complete(asyncio.start_server(self._join, "127.0.0.1", self.port))
+        self._ready.set()
+        self._loop.run_forever()
+
+    async def _join(self, reader, writer):
+        other_reader, other_writer = await asyncio.open_connection("127.0.0.1", self.to)
+        await asyncio.gather(self._carry(reader, other_writer), self._carry(other_reader, writer))
+
+    async def _carry(self, reader, writer):
+        waiting = asyncio.Queue()
+
+        async def deliver():
+            while True:
+                when, data = await waiting.get()
+                await asyncio.sleep(max(when - time.monotonic(), 0.0))
+                while self.cut:
+                    await asyncio.sleep(0.01)
+                writer.write(data)
+
+        task = asyncio.ensure_future(deliver())
+        try:
+            while data := await reader.read(1 << 16):
+                waiting.put_nowait((time.monotonic() + self.delay, data))
+        except ConnectionError:
+            pass
+        task.cancel()
+        writer.close()
+
+
+class Lossy:
+    """A network between a client and a server, UDP, that loses some of the datagrams."""
+
+    def __init__(self, port, lost, seed=0):
+        self.near, self.far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self.near.bind(("127.0.0.1", 0))
+        self.far.bind(("127.0.0.1", 0))
+        self.port, self.lost, self.seen, self.dropped = self.near.getsockname()[1], 0.0, 0, 0
+        self.part, self._rng, self._client = lost, np.random.default_rng(seed), None
+        self.address = f"127.0.0.1:{self.port}"
+        for take, give in ((self.near, lambda d: self.far.sendto(d, ("127.0.0.1", port))), (self.far, self._back)):
+            threading.Thread(target=self._run, args=(take, give), daemon=True).start()
+
+    def _back(self, data):
+        if self._client is not None:
+            self.near.sendto(data, self._client)
+
+    def _run(self, take, give):
+        while True:
+            try:
+                data, sender = take.recvfrom(1 << 16)
+                if take is self.near:
+                    self._client = sender
+                self.seen += 1
+                if self._rng.random() < self.lost:
+                    self.dropped += 1
+                    continue
+                give(data)
+            except OSError:
+                return
+
+
+def until(condition, timeout=5.0):
+    """Wait for something to be so, and return how long that took [s]."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < timeout, "it did not come about in time"
+        time.sleep(0.002)
+    return time.monotonic() - began
