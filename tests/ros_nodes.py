@@ -51,6 +51,11 @@ def this_node(environment):
     wire.start_node("tests", signals=False)
 
 
+def parameter(name, value):
+    """Set a parameter of ROS."""
+    wire.rospy().set_param(name, value)
+
+
 @contextmanager
 def listening(topic, kind):
     """What comes in on a topic, a list that grows, and what waits for somebody to send there."""

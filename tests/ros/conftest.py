@@ -37,7 +37,7 @@ def other(ros):
         yield lambda function, *arguments: pool.submit(function, *arguments).result(60.0)
 
 
-@pytest.fixture
-def node(ros):
+@pytest.fixture(scope="session")
+def nodes(ros):
     """Start `longreach ros …` as a process."""
     return lambda *arguments: process([sys.executable, "-m", "longreach", "ros", *arguments], ros)

@@ -1,21 +1,45 @@
 """A robot that speaks ROS 1, behind the same `Hardware` as any other: sensors by topics, arm and base by commands."""
 
-from typing import Literal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
 
-from longreach.control.hardware import Command, Promises, Readings
+import numpy as np
+from jaxtyping import Float
+
+from longreach.control.hardware import ArmMode, Command, Promises, Readings, promises_of
+from longreach.control.safety_checks import places
+from longreach.errors import ControlError, LiveError
+from longreach.io import messages
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.ros import wire
-from longreach.ros.sensors import Role
+from longreach.ros.commands import BOOL, EMERGENCY_STOP, NUMBERS, TWIST
+from longreach.ros.sensors import Role, Sensors
 
 ArmInterface = Literal["velocity", "position", "trajectory"]
 _ROLES: tuple[Role, ...] = ("wheels", "lidar", "imu", "joints", "wrench")
+_CONTROLLERS: dict[ArmInterface, str] = {
+    "velocity": "/arm_velocity_controller",
+    "position": "/arm_position_controller",
+    "trajectory": "/arm_controller",
+}
+_MODES: dict[ArmInterface, tuple[ArmMode, ...]] = {
+    "velocity": ("velocity",),
+    "position": ("position",),
+    "trajectory": ("velocity", "position"),
+}
+_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+_AHEAD, _BRAKING = 0.1, 0.25  # of a velocity sent as a trajectory: how long it lasts, and until it is at rest [s]; ours
+_LAG = 0.2  # [rad] that an arm may lag behind what it was told; ours
 
 
 def connect_ros(
     robot: MobileManipulator,
     *,
     arm: ArmInterface = "velocity",
-    controller: str = "/arm_controller",
+    controller: str | None = None,
     base: str = "/cmd_vel",
     timeout: float = 10.0,
 ) -> "RosHardware":
@@ -25,42 +49,178 @@ def connect_ros(
         arm: what the arm takes: velocity or position, an array of numbers on CONTROLLER/command as ros_control's group
             controllers take it; or trajectory, on CONTROLLER/command as its joint trajectory controller takes it, each
             ending at rest, so that the arm stops by itself where nothing follows.
-        base: topic of the base's twists. timeout: how long a master and the sensors are waited for [s].
+        controller: None: /arm_velocity_controller, /arm_position_controller or /arm_controller.
+        base: topic of the base's twists. timeout: how long a master, the joints and whoever takes commands are waited
+            for, each [s].
 
     Raises:
-        LiveError: rospy is not there, no master answers, or the robot says nothing.
+        LiveError: rospy is not there, no master answers, the robot does not say where its joints are, or nobody takes
+            commands.
     """
     wire.start_node("longreach_hardware", signals=False, wait=timeout)
-    return RosHardware(robot, arm, controller, base, timeout)
+    hardware = RosHardware(robot, arm, controller or _CONTROLLERS[arm], base)
+    hardware.wait(timeout)
+    return hardware
 
 
 class RosHardware:
-    """A robot over ROS; made by `connect_ros`. See `longreach.control.hardware.Hardware`."""
+    """A robot over ROS; made by `connect_ros`. See `longreach.control.hardware.Hardware`.
 
-    def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str, timeout: float) -> None:
-        raise NotImplementedError
+    Where no command was written for `promises.timeout` it lets the robot stand.
+    """
+
+    def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
+        self._promises = replace(promises_of(robot), arm_modes=_MODES[arm])
+        self._interface: ArmInterface = arm
+        self._sensors = Sensors(robot.description, _ROLES)
+        self._q: np.ndarray | None = None
+        self._aim: tuple[float, np.ndarray] | None = None  # where velocities sent as trajectories lead, and when [s]
+        self._pressed, self._stopped, self._lock = False, "", threading.Lock()
+        self._written: float | None = None  # on the monotonic clock [s]; None: the robot stands
+        self._button = wire.listen(EMERGENCY_STOP, (BOOL,), self._press, wire.complain)
+        kind = _TRAJECTORY if arm == "trajectory" else NUMBERS
+        self._arm = wire.Publisher(f"{controller}/command", kind) if self._promises.arm_names else None
+        self._base = None if self._promises.base_velocity is None else wire.Publisher(base, TWIST)
+        self._cancel = wire.Publisher(f"{controller}/follow_joint_trajectory/cancel", "actionlib_msgs/msg/GoalID")
+        wire.before_the_end(lambda: self.stop("The process ends."))
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     @property
     def promises(self) -> Promises:
         """What the robot can do: as its description says."""
-        raise NotImplementedError
+        return self._promises
+
+    def wait(self, timeout: float) -> None:
+        """Wait until the robot speaks and listens [at most `timeout` s].
+
+        Raises:
+            LiveError: it does not.
+        """
+        commanded = [publisher for publisher in (self._arm, self._base) if publisher is not None]
+        role: Role = "joints" if self._arm is not None else "wheels"
+        for ready, what in (
+            (lambda: self._sensors.speaks(role), f"says where its {role} are on {self._sensors.topic(role)}"),
+            (lambda: all(p.listeners for p in commanded), f"listens on {' and '.join(p.topic for p in commanded)}"),
+        ):
+            if not _within(timeout, ready):
+                self.close()
+                raise LiveError(f"No robot {what}; start it, or name its topics.")
 
     def read(self) -> Readings:
         """Return everything that has arrived since the last call."""
-        raise NotImplementedError
+        readings = replace(self._sensors.take().readings, emergency_stop=self._pressed)
+        for record in reversed(readings.joints):
+            where = places(record.names, self._promises.arm_names)
+            if where is not None and np.isfinite(record.position[where]).all():
+                self._q = record.position[where]
+                break
+        return readings
 
     def write(self, command: Command) -> None:
-        """Send a command; after a stop none is sent."""
-        raise NotImplementedError
+        """Send a command; after a stop none is sent.
+
+        Raises:
+            ControlError: numbers that are not finite, or not one for each joint, or a mode that the arm does not take.
+        """
+        for part, value, count in (("arm", command.arm, len(self._promises.arm_names)), ("base", command.base, 3)):
+            if value is not None and not (len(value) == count and np.isfinite(value).all()):
+                raise ControlError(f"The {part} takes {count} finite numbers, but the command has {value}.")
+        if command.arm is not None and command.arm_mode not in self._promises.arm_modes:
+            raise ControlError(
+                f"The arm's {self._interface} controller takes no {command.arm_mode}; connect with another `arm`."
+            )
+        with self._lock:
+            if self._stopped:
+                return
+            self._written = time.monotonic()
+            self._send(command.base, command.arm, command.arm_mode)
 
     def stop(self, reason: str) -> None:
         """Cancel whatever moves the arm, and let base and arm stand."""
-        raise NotImplementedError
+        with self._lock:
+            self._stopped = self._stopped or reason or "It was stopped."
+            self._stand()
+            self._cancel.send(wire.message_types()["actionlib_msgs/msg/GoalID"](_no_time(), ""))
 
     def wait_until(self, stamp: float) -> None:
         """Return at a time of the robot's clock [s]."""
-        raise NotImplementedError
+        while (left := stamp - wire.now()) > 0.0 and not wire.rospy().is_shutdown():
+            time.sleep(min(left, 0.1))
 
     def close(self) -> None:
         """Stop, and listen no more."""
-        raise NotImplementedError
+        self.stop("The connection is closed.")
+        self._closed.set()
+        self._sensors.close()
+        self._button.unregister()
+
+    def _watch(self) -> None:
+        """Let the robot stand where nothing was written for too long."""
+        timeout = self._promises.timeout
+        while not self._closed.wait(timeout / 5.0):
+            with self._lock:
+                if self._written is not None and time.monotonic() - self._written > timeout:
+                    self._stand()
+
+    def _stand(self) -> None:
+        moves = self._arm is not None and "velocity" in self._promises.arm_modes
+        self._send(np.zeros(3), np.zeros(len(self._promises.arm_names)) if moves else None, "velocity")
+        self._written = None
+
+    def _send(self, base: np.ndarray | None, arm: np.ndarray | None, mode: ArmMode) -> None:
+        types = wire.message_types()
+        if base is not None and self._base is not None:
+            vector = types["geometry_msgs/msg/Vector3"]
+            x, y, turn = base.tolist()
+            self._base.send(types[TWIST](vector(x, y, 0.0), vector(0.0, 0.0, turn)))
+        if arm is None or self._arm is None:
+            return
+        if self._interface != "trajectory":
+            layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+            self._arm.send(types[NUMBERS](layout, np.array(arm)))
+        elif self._q is not None:
+            self._arm.send(self._trajectory(self._led(self._q, arm), arm, mode))
+
+    def _led(self, q: Float[np.ndarray, " n"], velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Return where velocities have led the arm, which is at q (n,) and may lag behind a little."""
+        now = time.monotonic()
+        if self._aim is not None and now - self._aim[0] < _AHEAD:
+            q = np.clip(self._aim[1] + (now - self._aim[0]) * velocity, q - _LAG, q + _LAG)
+        self._aim = now, q
+        return q
+
+    def _trajectory(self, q: Float[np.ndarray, " n"], arm: Float[np.ndarray, " n"], mode: ArmMode) -> Any:
+        """Return a trajectory from q: to a position within a tick, or on with a velocity and then to rest."""
+        types, none, limits = wire.message_types(), np.zeros(0), self._promises.arm_limits
+        Point, Duration = types["trajectory_msgs/msg/JointTrajectoryPoint"], types["builtin_interfaces/msg/Duration"]
+        if mode == "position":
+            rows = [(1.0 / self._promises.arm_rate, arm, np.zeros(len(arm)))]
+        else:
+            rows = [
+                (_AHEAD, q + _AHEAD * arm, arm),
+                (_AHEAD + _BRAKING, q + (_AHEAD + 0.5 * _BRAKING) * arm, np.zeros(len(arm))),
+            ]
+        points = [
+            Point(np.clip(position, limits.lower, limits.upper), velocity, none, none, Duration(0, round(1e9 * after)))
+            for after, position, velocity in rows
+        ]
+        header = messages.header(types, 0.0, "")  # without a stamp: from now on
+        return types[_TRAJECTORY](header, list(self._promises.arm_names), points)
+
+    def _press(self, message: Any) -> None:
+        self._pressed = bool(message.data)
+
+
+def _no_time() -> Any:
+    return wire.message_types()["builtin_interfaces/msg/Time"](0, 0)
+
+
+def _within(timeout: float, condition: Callable[[], bool]) -> bool:
+    """Wait until a condition holds [at most `timeout` s], and return whether it does."""
+    end = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True

@@ -118,14 +118,14 @@ class _Node:
         self._arm = self._measured(readings) or self._arm
         base, arm = self._commands.take()
         if arm is not None:
-            self._action.drop(now + self._offset)
+            self._action.drop(now)
         velocities = None
         if self._arm is not None:
             ahead = now - self._arm.stamp
             measured = JointInput(self._arm.q + ahead * self._arm.velocity, self._arm.velocity)
             stop = self._gate.stop
             stopped = stop.reason if stop is not None and stop.latched else ""
-            velocities = self._action.step(measured, now + self._offset, stopped)
+            velocities = self._action.step(measured, now, stopped)
         if arm is None and velocities is not None:
             arm = "velocity", velocities
         if base is None and arm is None:

@@ -95,6 +95,14 @@ class Sensors:
         )
         return Heard(readings, new.get("fixes", ()))
 
+    def speaks(self, role: Role) -> bool:
+        """Whether anything usable has come of a sensor."""
+        return role in self._newest
+
+    def topic(self, role: Role) -> str:
+        """Return the topic that a sensor is heard on."""
+        return topic_of(self._robot, role)
+
     def close(self) -> None:
         """Listen no more."""
         for subscription in self._subscriptions:

@@ -64,7 +64,8 @@ class TrajectoryAction:
     def step(self, measured: JointInput, now: float, stopped: str = "") -> Float[np.ndarray, " n"] | None:
         """Take what came in, and return the arm's velocities (n,) [rad/s] at `now` [s]; None: nothing is followed.
 
-        stopped: why the safety gate stops the robot until it is reset; goals are refused then.
+        now is on the robot's clock, by which it moves, whatever ROS' clock does meanwhile. stopped: why the safety
+        gate stops the robot until it is reset; goals are refused then.
         """
         while self._inbox:
             what, message = self._inbox.popleft()
@@ -98,19 +99,19 @@ class TrajectoryAction:
             self._end(ended, _CODES[status], self._follower.reason, now)
         if self._current is not None and now - self._fed >= _FEEDBACK_PERIOD:
             self._fed = now
-            self._feed(self._current, output, measured, now)
+            self._feed(self._current, output, measured)
         return output
 
     def _take(self, message: Any, measured: JointInput, now: float, stopped: str) -> None:
-        goal = _Goal(_identified(message.goal_id, now), _ACTIVE, "On the way.")
+        goal = _Goal(_identified(message.goal_id, wire.now()), _ACTIVE, "On the way.")
         self._goals.append(goal)
         try:
             if stopped:
                 raise GoalError(-1, stopped)
-            trajectory, start = trajectory_of(message.goal.trajectory, self._names, self._limits, measured, now)
+            trajectory, late = trajectory_of(message.goal.trajectory, self._names, self._limits, measured, wire.now())
             follower = joint_trajectory.init(self._tolerances(message.goal), now)
             self._end(_PREEMPTED, 0, "A newer goal took its place.", now)
-            self._follower = joint_trajectory.follow(follower, trajectory, start)
+            self._follower = joint_trajectory.follow(follower, trajectory, now - late)
         except GoalError as error:
             self._conclude(goal, _REJECTED, error.code, str(error), now)
             return
@@ -118,13 +119,14 @@ class TrajectoryAction:
         self._tell(now)
 
     def _command(self, message: Any, measured: JointInput, now: float) -> None:
+        if not message.points:  # ros_control stops then
+            return self.drop(now)
         try:
-            trajectory, start = trajectory_of(message, self._names, self._limits, measured, now)
+            trajectory, late = trajectory_of(message, self._names, self._limits, measured, wire.now())
         except GoalError as error:
-            wire.complain(str(error))
-            return
+            return wire.complain(str(error))
         self._end(_PREEMPTED, 0, "A trajectory on the command topic took its place.", now)
-        self._follower = joint_trajectory.follow(joint_trajectory.init(self._config, now), trajectory, start)
+        self._follower = joint_trajectory.follow(joint_trajectory.init(self._config, now), trajectory, now - late)
 
     def _tolerances(self, goal: Any) -> JointTrajectoryConfig:
         """Return the settings with a goal's own tolerances; 0 is the default, less than 0 none at all."""
@@ -161,7 +163,7 @@ class TrajectoryAction:
         types = wire.message_types()
         result = types[f"{_ACTION}Result"](code, text)
         self._result.send(
-            types[f"{_ACTION}ActionResult"](messages.header(types, now, ""), self._status_of(goal), result)
+            types[f"{_ACTION}ActionResult"](messages.header(types, wire.now(), ""), self._status_of(goal), result)
         )
         self._tell(now)
 
@@ -174,18 +176,18 @@ class TrajectoryAction:
         self._goals = [goal for goal in self._goals if now - goal.ended < _KEPT or goal is self._current]
         types = wire.message_types()
         told = [self._status_of(goal) for goal in self._goals]
-        self._status.send(types["actionlib_msgs/msg/GoalStatusArray"](messages.header(types, now, ""), told))
+        self._status.send(types["actionlib_msgs/msg/GoalStatusArray"](messages.header(types, wire.now(), ""), told))
 
-    def _feed(self, goal: _Goal, output: JointOutput, measured: JointInput, now: float) -> None:
+    def _feed(self, goal: _Goal, output: JointOutput, measured: JointInput) -> None:
         types, none = wire.message_types(), np.zeros(0)
         Point, Duration = types["trajectory_msgs/msg/JointTrajectoryPoint"], types["builtin_interfaces/msg/Duration"]
         points = [
             Point(q, v, none, none, Duration(0, 0))
             for q, v in ((output.reference, none), (measured.q, measured.velocity), (output.error, none))
         ]
-        feedback = types[f"{_ACTION}Feedback"](messages.header(types, now, ""), list(self._names), *points)
+        feedback = types[f"{_ACTION}Feedback"](messages.header(types, wire.now(), ""), list(self._names), *points)
         self._feedback.send(
-            types[f"{_ACTION}ActionFeedback"](messages.header(types, now, ""), self._status_of(goal), feedback)
+            types[f"{_ACTION}ActionFeedback"](messages.header(types, wire.now(), ""), self._status_of(goal), feedback)
         )
 
 

@@ -30,7 +30,7 @@ def seconds(time: Any) -> float:
 def trajectory_of(
     message: Any, names: tuple[str, ...], limits: JointLimits, measured: JointInput, now: float
 ) -> tuple[ConfigurationTrajectory, float]:
-    """Return the trajectory of a message, its joints in the order of `names`, and when it begins [s].
+    """Return the trajectory of a message, its joints in the order of `names`, and how long ago it began [s].
 
     It begins where the joints are measured to be, where its first point is due later than its start, as ros_control's
     do. Where points lack velocities they are those of a smooth spline.
@@ -65,7 +65,7 @@ def trajectory_of(
         if velocities is not None:
             velocities = np.vstack([measured.velocity, velocities])
     try:
-        return timed_points(stamps, q, velocities, names), start
+        return timed_points(stamps, q, velocities, names), now - start
     except LongreachError as error:
         raise GoalError(INVALID_GOAL, str(error)) from error
 

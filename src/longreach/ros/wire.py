@@ -5,9 +5,11 @@ It is Debian's or ROS' own, and is found where Python finds it (PYTHONPATH, as R
 Debian's packages, whose folder is then put last, behind all that this environment has of its own.
 """
 
+import atexit
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -22,6 +24,7 @@ from longreach.io.messages import Types
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 _QUEUE = 1000  # messages that wait for a slow listener; a scan takes 4 kB
+_FAREWELL = 0.05  # [s] for the last messages to leave
 
 # control_msgs and actionlib's part of it, which Debian has not: the fields as their packages name them.
 _ACTION = {
@@ -103,6 +106,16 @@ def start_node(name: str, *, signals: bool = True, wait: float = 10.0) -> None:
     ros.init_node(name, disable_signals=not signals)
 
 
+def before_the_end(call: Callable[[], None]) -> None:
+    """Call something while messages still leave, when this process ends in whatever orderly way."""
+
+    def farewell() -> None:
+        call()
+        time.sleep(_FAREWELL)
+
+    atexit.register(farewell)  # goes before rospy's own
+
+
 def now() -> float:
     """Return the time of ROS [s]."""
     return float(rospy().get_time())
@@ -112,7 +125,7 @@ class Publisher:
     """A topic of one type to send messages on; to a latched one a late listener still gets the last message."""
 
     def __init__(self, topic: str, kind: str, *, latch: bool = False) -> None:
-        self._kind, self._class = kind, _packed(kind)
+        self.topic, self._kind, self._class = topic, kind, _packed(kind)
         self._publisher = rospy().Publisher(topic, self._class, latch=latch, queue_size=_QUEUE)
 
     @property
@@ -125,7 +138,8 @@ class Publisher:
         packed = self._class()
         packed.data = store().serialize_ros1(message, self._kind)
         if not rospy().is_shutdown():
-            self._publisher.publish(packed)
+            with suppress(rospy().ROSException):  # closed meanwhile
+                self._publisher.publish(packed)
 
 
 def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refuse: Callable[[str], None]) -> Any:

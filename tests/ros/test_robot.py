@@ -1,0 +1,96 @@
+"""The simulated Thing behind ROS topics, driven by ROS' own clients and by ours, its frames held against ROS' tf."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_clients import action_goals, driven, frames_by_tf, joint_positions
+from ros_nodes import parameter, process
+
+from longreach.geometry import se3, so3
+from longreach.io.robots import load_robot
+from longreach.robot.chain import KinematicChain
+from longreach.robot.urdf import read_urdf
+
+PUBLISHER = Path("/usr/lib/robot_state_publisher/robot_state_publisher")
+PREEMPTED, SUCCEEDED, ABORTED, REJECTED = 2, 3, 4, 5
+
+
+@pytest.fixture(scope="module")
+def thing():
+    return load_robot("thing")
+
+
+@pytest.fixture(scope="module")
+def robot(nodes):
+    """A simulated Thing that runs."""
+    with nodes("robot", "--robot", "thing") as running:
+        yield running
+
+
+def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot, other):
+    names, q = thing.joint_names[thing.arm], thing.home[thing.arm]
+    goals = [
+        (q + 0.15, 1.0, 0.0, None),
+        (q, 0.1, 0.01, None),  # faster than the arm can
+        (q + 10.0, 1.0, 0.0, None),  # beyond its limits
+        (q, 2.0, 0.0, 0.3),
+    ]
+    reached, hurried, far, cancelled = other(action_goals, names, goals)
+    assert reached[:2] == (SUCCEEDED, 0)
+    assert reached[3] > 5
+    assert hurried[:2] == (ABORTED, -4)
+    assert "off" in hurried[2]
+    assert far[:2] == (REJECTED, -1)
+    assert "beyond its limits" in far[2]
+    assert cancelled[0] == PREEMPTED
+
+
+def test_the_arm_is_where_the_action_said_that_it_arrived(thing, robot, other):
+    names, q = thing.joint_names[thing.arm], thing.home[thing.arm] + 0.1
+    (ended,) = other(action_goals, names, [(q, 1.5, 0.0, None)])
+    assert ended[:2] == (SUCCEEDED, 0)
+    assert np.abs(other(joint_positions, names) - q).max() < 0.01
+
+
+@pytest.mark.parametrize("arm", ["velocity", "trajectory"])
+def test_our_hardware_drives_base_and_arm_and_lets_go(thing, robot, other, arm):
+    velocity = [0.2, 0.0, 0.0, 0.0, 0.0, -0.2]
+    moved, before, after, still, counts = other(driven, thing, arm, [0.2, 0.0, 0.0], velocity, 1.0)
+    np.testing.assert_allclose(moved, 1.1 * np.array(velocity), atol=0.07)  # and the way until it is at rest
+    forward = np.linalg.norm((after - before)[:2])
+    assert 0.15 < forward < 0.3
+    assert still
+    assert counts["joints"] > 90
+    assert counts["wheels"] > 35
+    assert counts["scans"] > 25
+    assert counts["imu"] > 70
+
+
+def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing, robot, ros, other):
+    if not PUBLISHER.is_file():
+        pytest.skip("Debian's ros-robot-state-publisher is not installed")
+    path = files("longreach") / "robot/descriptions/thing.urdf"
+    other(parameter, "/robot_description", path.read_text())
+    urdf = read_urdf(path)
+    ends = [joint.child for joint in urdf.joints if "wheel" not in joint.name]
+    chains = {end: KinematicChain.from_urdf(path, "base_link", end) for end in ends}
+    joints = tuple(joint.name for joint in urdf.joints if joint.moves and "wheel" not in joint.name)
+    with process([PUBLISHER], ros):
+        found = other(frames_by_tf, "base_link", ends, joints, 5)
+    for q, placed in found:
+        angles = dict(zip(joints, q.tolist(), strict=True))
+        for end, chain in chains.items():
+            T = chain.forward(np.array([angles[name] for name in chain.joint_names]))
+            x, y, z, *turn = placed[end].tolist()
+            told = se3.from_rotation_translation(rotation(*turn), np.array([x, y, z]))
+            np.testing.assert_allclose(told, T, atol=1e-9, err_msg=end)
+        q_all = np.concatenate([np.zeros(3), [angles[name] for name in thing.joint_names[thing.arm]]])
+        np.testing.assert_allclose(thing.forward(q_all)[:3, 3], placed["tool"][:3], atol=1e-9)
+
+
+def rotation(x, y, z, w):
+    axis = np.array([x, y, z])
+    size = np.linalg.norm(axis)
+    return so3.exp(2.0 * np.arctan2(size, w) / size * axis) if size > 0 else np.eye(3)

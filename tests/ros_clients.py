@@ -1,0 +1,130 @@
+"""What drives and watches a robot in the tests: ROS' own actionlib and tf, and our hardware; run in `other`."""
+
+import time
+
+import numpy as np
+from ros_nodes import listening, until
+
+from longreach.control.hardware import Command
+from longreach.ros import wire
+from longreach.ros.hardware import connect_ros
+
+ACTION = "control_msgs/FollowJointTrajectoryAction"
+_LINE = "=" * 80 + "\n"
+
+
+def action_messages():
+    """The classes of the action by genpy itself, from their definitions."""
+    from genpy.dynamic import generate_dynamic
+
+    parts = {}
+    for kind in ("Goal", "Result", "Feedback"):
+        text, _ = wire.store().generate_msgdef(f"{ACTION.replace('/', '/msg/')}{kind}", ros_version=1)
+        own, *others = text.split(_LINE)
+        parts[f"{ACTION}{kind}"] = own
+        parts |= {name.removeprefix("MSG: "): body for name, _, body in (other.partition("\n") for other in others)}
+    fields = "".join(f"{ACTION}{kind} action_{kind.lower()}\n" for kind in ("Goal", "Result", "Feedback"))
+    return generate_dynamic(ACTION, fields + "".join(f"{_LINE}MSG: {name}\n{body}" for name, body in parts.items()))
+
+
+def action_goals(names, goals):
+    """Send goals one after the other through actionlib's own client, and return how each ended.
+
+    goals: (positions, after [s], tolerance on the way [rad], what happens after how long, None or (s, "cancel")).
+    """
+    import actionlib
+
+    classes, Duration = action_messages(), wire.rospy().Duration
+    client = actionlib.SimpleActionClient("/arm_controller/follow_joint_trajectory", classes[ACTION])
+    assert client.wait_for_server(Duration(30.0))
+    ended = []
+    for positions, after, tolerance, cancelled in goals:
+        goal = classes["control_msgs/FollowJointTrajectoryGoal"]()
+        point = classes["trajectory_msgs/JointTrajectoryPoint"]()
+        point.positions, point.time_from_start = list(positions), Duration(after)
+        goal.trajectory.joint_names, goal.trajectory.points = list(names), [point]
+        Tolerance = classes["control_msgs/JointTolerance"]
+        goal.path_tolerance = [Tolerance(name, tolerance, 0.0, 0.0) for name in names] if tolerance else []
+        fed = []
+        client.send_goal(goal, feedback_cb=fed.append)
+        if cancelled:
+            time.sleep(cancelled)
+            client.cancel_goal()
+        assert client.wait_for_result(Duration(20.0))
+        result = client.get_result()
+        ended.append((client.get_state(), result.error_code, result.error_string, len(fed)))
+    return ended
+
+
+def joint_positions(names):
+    """Where joints are now (n,) [rad]."""
+    with listening("/joint_states", "sensor_msgs/msg/JointState") as (heard, _):
+        until(lambda: any(set(names) <= set(message.name) for message in heard), 10.0, "a joint state")
+    last = [message for message in heard if set(names) <= set(message.name)][-1]
+    return np.array([last.position[list(last.name).index(name)] for name in names])
+
+
+def frames_by_tf(root, frames, joints, count):
+    """Where frames stand in a root as ROS' tf says, at times at which joints were told: q (n,), and T by frame."""
+    from tf2_msgs.msg import TFMessage
+    from tf2_py import BufferCore, TransformException
+
+    Time = wire.rospy().Time
+    buffer = BufferCore(wire.rospy().Duration(30.0))
+    for topic, take in (("/tf", buffer.set_transform), ("/tf_static", buffer.set_transform_static)):
+        wire.rospy().Subscriber(
+            topic, TFMessage, lambda message, take=take: [take(transform, "test") for transform in message.transforms]
+        )
+    found = []
+    with listening("/joint_states", "sensor_msgs/msg/JointState") as (heard, _):
+
+        def look():
+            for message in [message for message in heard if set(joints) <= set(message.name)]:
+                stamp = Time(message.header.stamp.sec, message.header.stamp.nanosec)
+                try:
+                    told = {frame: buffer.lookup_transform_core(root, frame, stamp).transform for frame in frames}
+                except TransformException:
+                    continue
+                q = np.array([message.position[list(message.name).index(name)] for name in joints])
+                found.append((q, {frame: _numbers(transform) for frame, transform in told.items()}))
+            heard.clear()
+            return len(found) >= count
+
+        until(look, 30.0, "tf")
+    return found
+
+
+def _numbers(transform):
+    t, q = transform.translation, transform.rotation
+    return np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
+
+
+def driven(robot, arm, twist, velocity, seconds):
+    """Drive a robot through `connect_ros` for a while and let it be; return where arm and truth were before and after.
+
+    After the last command nothing is said, and a second later nothing moves.
+    """
+    hardware = connect_ros(robot, arm=arm)
+    names = hardware.promises.arm_names
+    with listening("/truth", "geometry_msgs/msg/PoseStamped") as (truth, _):
+        until(lambda: truth, 10.0, "the truth")
+        q, base = joint_positions(names), _place(truth[-1])
+        hardware.read()
+        begin, heard = hardware.read().stamp, []
+        for i in range(round(seconds / 0.02)):
+            hardware.wait_until(begin + 0.02 * i)
+            heard.append(hardware.read())
+            hardware.write(Command(heard[-1].stamp, np.array(velocity), "velocity", np.array(twist)))
+        time.sleep(1.0)
+        q_after, base_after = joint_positions(names), _place(truth[-1])
+        time.sleep(0.2)
+        still = np.abs(joint_positions(names) - q_after).max() < 1e-3
+        hardware.stop("The test has ended.")
+        hardware.close()
+    counts = {kind: sum(len(getattr(r, kind)) for r in heard) for kind in ("wheels", "scans", "imu", "joints")}
+    return q_after - q, base, base_after, still, counts
+
+
+def _place(message):
+    position, q = message.pose.position, message.pose.orientation
+    return np.array([position.x, position.y, 2.0 * np.arctan2(q.z, q.w)])
