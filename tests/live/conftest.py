@@ -9,14 +9,17 @@ import longreach as lr
 from longreach.live.client import connect
 
 
+_SERVED = {}  # one for all tests, until one of them ends it
+
+
 @pytest.fixture(scope="session")
 def thing():
     return lr.load_robot("thing")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def serve(tmp_path_factory):
-    """Serve a robot, as often as it is called; all end with the module."""
+    """Serve a robot, as often as it is called; all end with the session."""
     all_served = []
 
     def start(*options, **more):
@@ -28,6 +31,16 @@ def serve(tmp_path_factory):
         if served.process.poll() is None:
             served.process.kill()
             served.process.wait()
+
+
+@pytest.fixture
+def served(serve, tmp_path_factory):
+    """A robot that is served without a token, and recorded."""
+    if "one" not in _SERVED or _SERVED["one"].process.poll() is not None:
+        record = tmp_path_factory.mktemp("record") / "run.mcap"
+        _SERVED["one"] = serve("--record", record)
+        _SERVED["one"].record = record
+    return _SERVED["one"].ready()
 
 
 @pytest.fixture

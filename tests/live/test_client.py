@@ -1,7 +1,5 @@
 """A client in one process and a robot in another: what is asked for happens, and who holds the robot decides."""
 
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -9,17 +7,9 @@ import pytest
 from live_networks import until
 
 import longreach as lr
+from longreach.cli.main import main
 from longreach.control.hardware import Hardware
 from longreach.errors import LiveError, PlanningError
-from longreach.io.recording import read_recording
-
-
-@pytest.fixture(scope="module")
-def served(serve, tmp_path_factory):
-    record = tmp_path_factory.mktemp("record") / "run.mcap"
-    one = serve("--record", record)
-    one.record = record
-    return one.ready()
 
 
 @pytest.fixture
@@ -36,6 +26,7 @@ def test_a_client_has_the_face_of_hardware_and_hears_125_states_a_second(client)
     assert client.promises.gripper
     assert client.robot.joint_names == lr.load_robot("thing").joint_names
     stamps = []
+    client.read()
     ended = client.on_state(lambda state: stamps.append(state.stamp))
     time.sleep(0.5)
     ended()
@@ -140,11 +131,18 @@ def test_a_plan_that_cannot_be_followed_is_refused_before_anything_moves(client)
         client.move_to(T)
 
 
-def test_the_command_line_connects_too(served):
-    command = [sys.executable, "-m", "longreach", "connect", served.address, "--move-to", "0,-2,2,-1.5,-1.57,0"]
-    ended = subprocess.run(command, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert "-2.     2.    -1.5" in ended.stdout
+def test_the_command_line_connects_too(served, capsys):
+    for options in (["--move-to", "0.1,-2,2,-1.5,-1.57,0"], ["--duration", "0.1"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["connect", served.address, *options])
+        assert not ended.value.code
+    said = capsys.readouterr().out
+    assert "The robot is at [" in said
+    assert "base" in said
+    with pytest.raises(SystemExit) as ended:
+        main(["connect", served.address, "--velocity", "1,2"])
+    assert ended.value.code == 2
+    assert "--velocity takes 3 numbers" in capsys.readouterr().err
 
 
 def test_nobody_there_is_a_sentence():
@@ -152,12 +150,3 @@ def test_nobody_there_is_a_sentence():
         lr.connect("127.0.0.1:9", timeout=0.3)
     with pytest.raises(LiveError, match="write it as host:port"):
         lr.connect("nowhere")
-
-
-def test_told_to_end_the_server_leaves_a_whole_recording(served, thing):
-    said = served.end()
-    assert served.process.returncode == 0, said
-    recording = read_recording(served.record, thing)
-    assert np.allclose(np.diff([w.stamp for w in recording.wheels]), 0.02, atol=1e-6)
-    assert recording.truth is not None
-    assert len(recording.joints) > 5 * len(recording.wheels) // 2 - 10

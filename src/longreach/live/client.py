@@ -175,7 +175,8 @@ class Client:
         return self._ears.frames.lookup(target, source, stamp)
 
     def read(self) -> Readings:
-        """Return what sensors and joints have said since the last call, without waiting."""
+        """Return what sensors and joints have said since the last call, without waiting; wheels and IMU from the first call on."""
+        self._ears.sense()
         return self._ears.readings(self._line.now)
 
     def write(self, command: Command) -> None:

@@ -66,11 +66,24 @@ class Ears:
             keys.ARM: self._take_arm,
             keys.SCAN: self._take_scan,
             keys.PLAN: self._take_plan,
-            keys.WHEELS: lambda m: self._keep("wheels", m, (records.wheels(m, robot.description) or (False, None))[1]),
+        }
+        self._session, self._senses = session, False
+        self._declared = [self._subscribe(topic, take) for topic, take in takes.items()]
+
+    def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> Any:
+        return self._session.declare_subscriber(topic.key, partial(self._hear, topic, take))
+
+    def sense(self) -> None:
+        """Hear what wheels, IMU and wrench say, too, from now on; most clients need not."""
+        if self._senses:
+            return
+        self._senses, robot = True, self.robot.description
+        takes = {
+            keys.WHEELS: lambda m: self._keep("wheels", m, (records.wheels(m, robot) or (False, None))[1]),
             keys.IMU: lambda m: self._keep("imu", m, records.imu(m)),
             keys.WRENCH: lambda m: self._keep("wrenches", m, records.wrench(m)),
         }
-        self._declared = [session.declare_subscriber(t.key, partial(self._hear, t, take)) for t, take in takes.items()]
+        self._declared += [self._subscribe(topic, take) for topic, take in takes.items()]
 
     def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
         """Take a message; one that is none, or too large, is counted and passed over."""

@@ -1,0 +1,167 @@
+"""Who is not let in: nothing of theirs is accepted, nothing crashes, each refusal is counted and logged."""
+
+import socket
+
+import numpy as np
+import pytest
+import zenoh
+from live_networks import free_port, until
+
+from longreach.errors import LiveError
+from longreach.live import keys, orders
+from longreach.live.door import Door, Refusals, Refused
+from longreach.live.keys import TYPES, attach
+from longreach.live.link import authentication, open_client, open_server
+
+_TOKEN = "correct horse"
+_STREAMS = (keys.TWIST, keys.JOINTS, keys.TOOL, keys.GRIPPER, keys.HEARTBEAT)
+
+
+class Sample:
+    def __init__(self, payload, attachment):
+        self.payload, self.attachment = payload, attachment
+
+
+@pytest.fixture(scope="module")
+def guarded(serve):
+    return serve("--token", _TOKEN).ready()
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0:7447", "192.168.1.5:7447", "[::]:7447", "robot.example:7447"])
+def test_other_machines_are_not_served_without_certificates(address):
+    with pytest.raises(LiveError, match="can be reached from other machines: give --certificates"):
+        open_server(address, _TOKEN, None)
+
+
+def test_without_the_token_nobody_comes_in_and_each_try_is_counted_and_logged(guarded, to):
+    for token in (None, "wrong"):
+        with pytest.raises(LiveError, match="or it wants a"):
+            open_client(guarded.address, token, None, 0.3)
+    with socket.create_connection(("127.0.0.1", guarded.port)) as garbage:
+        garbage.send(np.random.default_rng(0).bytes(3000))
+    client = to(guarded, _TOKEN)
+    until(lambda: client.state.refused >= 3)
+    assert "a connection without the token" in guarded.output
+    assert "a connection that speaks something else" in guarded.output
+    client.velocity(np.full(6, 0.1))
+    assert client.holds
+
+
+def test_a_message_that_is_not_authentic_is_refused_by_a_robot_with_a_token(guarded, to):
+    """Who is let in by zenoh, as a router in between would be, cannot command without the token."""
+    client = to(guarded, _TOKEN)
+    before = client.state.refused
+    session = open_client(guarded.address, _TOKEN, None, 2.0)
+    payload = keys.TWIST.pack(orders.twist_message(client.state.stamp, np.array([1.0, 0.0, 0.0])))
+    for i in range(10):
+        session.put(keys.TWIST.key, payload, attachment=attach(i, bytes(16)) + bytes(16 * (i % 2)))
+    until(lambda: client.state.refused >= before + 10)
+    assert not client.state.velocity[:3].round(2).any()
+    assert "not authentic" in guarded.output
+    session.close()
+
+
+def test_a_message_counts_once_and_from_its_server_alone():
+    door = Door(_TOKEN, b"n" * 16, Refusals())
+    payload, topic = keys.ORDER.pack(TYPES["std_msgs/msg/String"]("hold")), keys.ORDER
+
+    def signed(number, nonce=b"n" * 16, token=_TOKEN, key=topic.key):
+        attachment = attach(number, b"s" * 16)
+        return Sample(payload, attachment + authentication(token, nonce, key, attachment, payload))
+
+    assert door.admit(topic, signed(1))[1].data == "hold"
+    again = signed(2)
+    door.admit(topic, again)
+    for sample, reason in (
+        (again, "repeated"),
+        (signed(1), "repeated"),
+        (signed(3, nonce=b"o" * 16), "not authentic"),
+        (signed(3, token="wrong"), "not authentic"),
+        (signed(3, key=keys.EXECUTE.key), "not authentic"),
+        (Sample(payload, attach(3, b"s" * 16)), "not authentic"),
+        (Sample(payload, None), "without an attachment"),
+        (Sample(None, None), "nothing in it"),
+        (Sample(bytes(5000), attach(3, b"s" * 16)), "too large"),
+    ):
+        with pytest.raises(Refused, match=reason):
+            door.admit(topic, sample)
+    door.admit(topic, signed(3))
+
+
+def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_counted(served, to, rng):
+    client = to(served)
+    before, q = client.state.refused, client.state.q
+    session = open_client(served.address, None, None, 2.0)
+    valid = {
+        keys.TWIST: orders.twist_message(1.0, np.ones(3)),
+        keys.HEARTBEAT: orders.twist_message(1.0, np.ones(3)).header,
+    }
+    publishers = {
+        topic: session.declare_publisher(topic.key, congestion_control=zenoh.CongestionControl.BLOCK)
+        for topic in _STREAMS
+    }
+    for i in range(10_000):
+        topic = _STREAMS[i % len(_STREAMS)]
+        if topic in valid and i % 2:  # something that was right, with a few bytes changed
+            payload = np.frombuffer(topic.pack(valid[topic]), dtype=np.uint8).copy()
+            payload[rng.integers(len(payload), size=3)] = rng.integers(256, size=3)
+            payload = payload.tobytes()
+        else:
+            payload = rng.bytes(int(rng.integers(0, 300)))
+        attachment = rng.bytes(33) if i % 3 == 0 else attach(i, b"fuzz" * 4)
+        publishers[topic].put(payload, attachment=attachment)
+    for topic in _STREAMS:
+        publishers[topic].put(bytes(topic.limit + 1), attachment=attach(0, b"fuzz" * 4))
+    until(lambda: client.state.refused >= before + 10_000 + len(_STREAMS), 20.0)
+    assert client.state.refused == before + 10_000 + len(_STREAMS)
+    assert np.allclose(client.state.q, q, atol=2e-3)
+    assert client.state.stop == ""
+    assert client.state.holder == ""
+    for reason in ("malformed", "without an attachment", "too large"):
+        assert reason in served.output
+    client.velocity(base=np.array([0.1, 0.0, 0.0]))  # it still does what it is asked for by whom it should
+    until(lambda: client.state.goal == "direct")
+    session.close()
+
+
+def test_questions_that_are_none_are_answered_with_a_refusal(served, to, rng):
+    client = to(served)
+    before = client.state.refused
+    session = open_client(served.address, None, None, 2.0)
+    for topic in (keys.ORDER, keys.EXECUTE):
+        for payload, attachment in ((rng.bytes(50), attach(1, bytes(16))), (b"", None), (None, None)):
+            answers = list(session.get(topic.key, payload=payload, attachment=attachment, timeout=2.0))
+            assert keys.ORDER.unpack(bytes(answers[0].ok.payload)).data.startswith("refused: ")
+    list(session.get(keys.CLOCK.key, payload=rng.bytes(50), timeout=2.0))
+    until(lambda: client.state.refused >= before + 7)
+    session.close()
+
+
+def test_with_certificates_only_who_has_one_of_ours_comes_in(certificates):
+    address = f"127.0.0.1:{free_port()}"
+    server = open_server(address, None, certificates["ours"])
+    open_client(address, None, certificates["ours"], 2.0).close()
+    for folder in (certificates["strange"], certificates["bare"], None):
+        with pytest.raises(LiveError, match="No robot answers"):
+            open_client(address, None, folder, 0.2)
+    server.close()
+
+
+def test_with_certificates_of_the_server_and_a_token_the_token_lets_in(certificates):
+    address = f"127.0.0.1:{free_port()}"
+    server = open_server(address, _TOKEN, certificates["ours"])
+    open_client(address, _TOKEN, certificates["bare"], 2.0).close()
+    for token in (None, "wrong"):
+        with pytest.raises(LiveError, match="No robot answers"):
+            open_client(address, token, certificates["bare"], 0.2)
+    server.close()
+
+
+def test_a_flood_of_refusals_is_told_in_one_line_a_second(caplog):
+    refusals = Refusals()
+    for _ in range(1000):
+        refusals.count("malformed", "/cmd_vel")
+    refusals.tell_all()
+    assert refusals.total == 1000
+    assert len(caplog.records) == 2
+    assert "1000" in caplog.records[-1].getMessage()

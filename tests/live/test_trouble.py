@@ -1,0 +1,137 @@
+"""What the robot does when its client dies, the network is cut, slow or lossy; the recording is whole all the same."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from live_networks import Lossy, Network, until
+
+from longreach.live import link
+
+# Drives the base and says so; lives until it is killed.
+_DRIVER = """
+import sys, time, numpy as np, longreach as lr
+client = lr.connect(sys.argv[1], name="the driver")
+print("driving", flush=True)
+while True:
+    client.velocity(np.array([0.2, 0, 0, 0, 0, 0]), np.array([0.4, 0.0, 0.0]))
+    time.sleep(0.02)
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def lossy_server(serve):
+    return serve(protocol="udp")  # starts while the tests before it run
+
+
+class Watched:
+    """All that a client has heard since it began to watch."""
+
+    def __init__(self, client):
+        self.states = []
+        self.end = client.on_state(self.states.append)
+
+    def column(self, name):
+        return np.array([getattr(state, name) for state in self.states])
+
+
+def _braked_within_limits(thing, watched, since):
+    """Whether the base came to rest as hard as it may at most, and stood still; returns when [s]."""
+    t, speed = watched.column("stamp"), np.abs(watched.column("velocity")[:, 0])
+    standing = t[(t > since) & (speed < 0.02)][0]
+    hardest = thing.limits.acceleration[0]
+    assert standing - since < 0.25 + 0.4 / hardest + 0.15  # until it is seen, braking, the estimate's lag
+    return standing
+
+
+def test_a_client_that_is_killed_leaves_a_robot_that_stands(served, to, thing):
+    watcher = to(served)
+    with subprocess.Popen([sys.executable, "-c", _DRIVER, served.address], stdout=subprocess.PIPE, text=True) as driver:
+        assert driver.stdout.readline() == "driving\n"
+        until(lambda: watcher.state.velocity[0] > 0.35)
+        watched = Watched(watcher)
+        driver.kill()
+        killed = watcher.state.stamp
+    until(lambda: "was not heard" in watcher.state.stop, 1.0)
+    stopped = watched.states[-1].stamp
+    assert stopped - killed < 0.25 + 0.1  # the status comes every 0.1 s at the latest, at once where it changes
+    until(lambda: abs(watcher.state.velocity[0]) < 0.01, 2.0)
+    _braked_within_limits(thing, watched, killed)
+    until(lambda: watcher.state.holder == "", 4.0)  # and another may take it
+    watcher.take()
+    watcher.velocity(base=np.array([0.1, 0.0, 0.0]))
+    until(lambda: watcher.state.goal == "direct" and watcher.state.stop == "")
+    watcher.release()
+
+
+def test_a_network_that_is_cut_stops_the_robot_and_the_plan_goes_on_when_it_is_back(served, to, thing):
+    watcher, network = to(served), Network(served.port)
+    client = to(network.address, name="through the network")
+    goal = watcher.state.q.copy()
+    goal[0] += 0.6
+    client.move_to(goal, wait=False)
+    until(lambda: watcher.state.velocity[0] > 0.2)
+    watched = Watched(watcher)
+    network.cut = True
+    cut = watcher.state.stamp
+    until(lambda: "was not heard" in watcher.state.stop, 1.0)
+    assert watcher.state.stamp - cut < 0.25 + 0.1
+    until(lambda: abs(watcher.state.velocity[0]) < 0.01, 2.0)
+    _braked_within_limits(thing, watched, cut)
+    where = watcher.state.q[0]
+    network.cut = False
+    until(lambda: watcher.state.progress == 1.0 and watcher.state.goal == "hold", 10.0)
+    assert where < goal[0] - 0.05
+    assert watcher.state.q[0] == pytest.approx(goal[0], abs=0.01)
+    client.release()
+
+
+def test_200_milliseconds_of_delay_are_borne_and_the_offset_of_the_clocks_is_still_known(served, to):
+    watcher, network = to(served), Network(served.port)
+    client = to(network.address, name="far away")
+    network.delay = 0.2
+    for line in (client._line, watcher._line):  # anew: a simulation that cannot keep up falls behind the wall's clock
+        line._pings.clear()
+        for _ in range(3):
+            line.ping()
+    assert client.offset == pytest.approx(watcher.offset, abs=0.08)
+    goal = watcher.state.q.copy()
+    goal[3] += 0.2
+    watched = Watched(watcher)
+    state = client.move_to(goal)
+    assert state.progress == 1.0
+    assert not [s for s in watched.states if s.stop]  # it never took the client for gone
+    assert watcher.state.q[3] == pytest.approx(goal[3], abs=3e-3)
+    client.release()
+
+
+def test_5_percent_of_lost_messages_do_not_stop_the_robot(lossy_server, to, monkeypatch):
+    monkeypatch.setattr(link, "PROTOCOL", "udp")
+    network = Lossy(lossy_server.ready().port, 0.05)
+    watcher_of_all, client = to(lossy_server), to(network.address, name="lossy")
+    client.take()
+    network.lost = network.part
+    goal, watched = watcher_of_all.state.q.copy(), Watched(watcher_of_all)
+    goal[3] += 0.3
+    for _ in range(50):
+        client.velocity(base=np.array([0.2, 0.0, 0.0]))
+        time.sleep(0.02)
+    assert network.dropped > 5
+    assert client.lost > 0
+    assert watched.states[-1].velocity[0] == pytest.approx(0.2, abs=0.05)
+    assert not [s for s in watched.states if s.stop]
+
+
+def test_told_to_end_the_server_leaves_a_whole_recording_whatever_has_come_before(served, to):
+    to(served).close()
+    said = served.end()
+    assert served.process.returncode == 0, said
+    info = subprocess.run([sys.executable, "-m", "longreach", "info", served.record], capture_output=True, text=True)
+    found = {words[0]: words[1:] for line in info.stdout.splitlines() if len(words := line.split()) == 6}
+    for name, rate in (("/joint_states", 50.0), ("/arm/joint_states", 125.0), ("/truth", 125.0), ("/imu/data", 100.0)):
+        _, _, at, longest_gap, backward = found[name]
+        assert float(at) == pytest.approx(rate, rel=0.05)
+        assert float(longest_gap) < 1.5 / rate, name  # not one is missing
+        assert backward == "0"
