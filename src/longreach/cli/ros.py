@@ -76,6 +76,16 @@ def robot(
     run(loaded, (Simulation if physics else KinematicRobot)(loaded, world, seed=seed), settings)
 
 
+@app.command()
+def package(folder: Path = typer.Argument(help="A folder of ROS packages, such as a workspace's src.")) -> None:
+    """Write a ROS package with our launch files, so that roslaunch finds them."""
+    from longreach.ros.package import write_package
+
+    written = write_package(folder)
+    typer.echo(f"The package is {written}; export ROS_PACKAGE_PATH={folder.resolve()}:$ROS_PACKAGE_PATH, then")
+    typer.echo("roslaunch longreach simulated.launch, estimate.launch or system.launch.")
+
+
 def _check(context: typer.Context) -> None:
     """Refuse what roslaunch did not give."""
     strange = [argument for argument in context.args if ":=" not in argument]
