@@ -8,7 +8,6 @@ from live_networks import Served
 import longreach as lr
 from longreach.live.client import connect
 
-
 _SERVED = {}  # one for all tests, until one of them ends it
 
 

@@ -92,11 +92,13 @@ def test_200_milliseconds_of_delay_are_borne_and_the_offset_of_the_clocks_is_sti
     watcher, network = to(served), Network(served.port)
     client = to(network.address, name="far away")
     network.delay = 0.2
-    for line in (client._line, watcher._line):  # anew: a simulation that cannot keep up falls behind the wall's clock
+    offsets = []
+    for line in (watcher._line, client._line, watcher._line):
         line._pings.clear()
-        for _ in range(3):
-            line.ping()
-    assert client.offset == pytest.approx(watcher.offset, abs=0.08)
+        line.ping()
+        offsets.append(line.offset)
+    before, through, after = offsets  # a simulation that cannot keep up falls behind the wall's clock meanwhile
+    assert min(before, after) - 0.05 < through < max(before, after) + 0.05
     goal = watcher.state.q.copy()
     goal[3] += 0.2
     watched = Watched(watcher)

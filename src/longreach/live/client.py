@@ -175,7 +175,7 @@ class Client:
         return self._ears.frames.lookup(target, source, stamp)
 
     def read(self) -> Readings:
-        """Return what sensors and joints have said since the last call, without waiting; wheels and IMU from the first call on."""
+        """Return what was said since the last call, without waiting; wheels, IMU and wrench from the first call on."""
         self._ears.sense()
         return self._ears.readings(self._line.now)
 
