@@ -1,0 +1,171 @@
+"""A robot served and watched over loopback: what is lost, how long messages are under way, what it costs.
+
+    python benchmarks/live.py --minutes 10              losses, delays, the server's CPU and memory
+    python benchmarks/live.py --dual-trajectory         the tool's error through the network beside that in one process
+
+The server is `longreach serve` with a simulated Thing, physics and scans, in a process of its own; each client that only
+watches is one, too.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import longreach as lr
+from longreach.app.dual_trajectory import DualTrajectoryConfig, planned
+from longreach.app.execution import execute
+from longreach.evaluation.execution import tool_metrics
+
+_WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
+_ADDRESS = "127.0.0.1:17447"
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class Server:
+    """`longreach serve` in a process of its own."""
+
+    def __init__(self, hardware, *options):
+        command = [sys.executable, "-m", "longreach", "serve", "--hardware", hardware, "--address", _ADDRESS, *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        while "Serving" not in self.process.stdout.readline():
+            assert self.process.poll() is None
+
+    def cpu(self):
+        """What it has computed so far [s]."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / _TICKS
+
+    def memory(self):
+        """What it holds [MB]."""
+        return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    def end(self):
+        self.process.terminate()
+        print(self.process.stdout.read().strip())
+        self.process.wait()
+
+
+def cpu_of(server, seconds):
+    """The server's CPU over a while, part of one core."""
+    cpu, began = server.cpu(), time.monotonic()
+    time.sleep(seconds)
+    return (server.cpu() - cpu) / (time.monotonic() - began)
+
+
+def watchers(count):
+    """Clients that only watch, each a process."""
+    started = [
+        subprocess.Popen([sys.executable, "-c", _WATCH, _ADDRESS], stdout=subprocess.PIPE, text=True)
+        for _ in range(count)
+    ]
+    for one in started:
+        one.stdout.readline()
+    return started
+
+
+def costs(server, seconds):
+    for count in (0, 1, 5):
+        clients = watchers(count)
+        time.sleep(1.0)
+        print(f"server's CPU, {count} watching: {100 * cpu_of(server, seconds):.0f} % of a core")
+        for one in clients:
+            one.kill()
+            one.wait()
+
+
+def ways(server, minutes):
+    """Losses and delays of one client, and the server's memory, over a time."""
+    with lr.connect(_ADDRESS) as client:
+        time.sleep(2.0)
+        stamps, scans, memory = [], [], []
+        client._ears.delays.clear()
+        lost, delays = client.lost, []
+        client.on_state(lambda state: stamps.append(state.stamp))
+        client.on_scan(lambda scan: scans.append(scan.stamp))
+        began = time.monotonic()
+        while time.monotonic() - began < 60.0 * minutes:
+            time.sleep(2.0)
+            delays += list(client._ears.delays)
+            client._ears.delays.clear()
+            memory.append((time.monotonic() - began, server.memory()))
+        delays = 1e3 * np.array(delays)
+        gaps = [np.diff(np.array(s)) for s in (stamps, scans)]
+        wall = time.monotonic() - began
+        print(f"{minutes:g} minutes: {len(stamps) / wall:.1f} states/s, {len(scans) / wall:.1f} scans/s")
+        missing = [int(np.sum(np.round(gap / period) - 1)) for gap, period in zip(gaps, (0.008, 0.025), strict=True)]
+        print(f"lost: {missing[0]} states, {missing[1]} scans, {client.lost - lost} messages of any kind (bar: 0)")
+        p50, p99, p100 = np.percentile(delays, [50, 99, 100])
+        print(f"under way: median {p50:.2f} ms (bar: 1), p99 {p99:.2f} ms (bar: 5), longest {p100:.1f} ms")
+        memory = np.array(memory)
+        settled = memory[memory[:, 0] > min(20.0, 30.0 * minutes)]
+        slope = 60.0 * np.polyfit(settled[:, 0], settled[:, 1], 1)[0]
+        print(f"server's memory: {memory[-1, 1]:.0f} MB, {slope:+.2f} MB a minute")
+        stops = [stop_takes(client) for _ in range(20)]
+        print(f"from stop() to the gate: median {np.median(stops):.1f} ms, longest {max(stops):.1f} ms (bar: 50)")
+
+
+def stop_takes(client):
+    """From the call of stop to the tick that obeys, on the robot's clock [ms]."""
+    seen = []
+    ended = client.on_state(lambda state: seen.append(state.stamp) if state.stop else None)
+    began = time.perf_counter()
+    client.stop("for the benchmark")
+    while not seen:
+        time.sleep(0.0005)
+    took = 1e3 * (time.perf_counter() - began)
+    ended()
+    client.reset()
+    while client.state.stop:
+        time.sleep(0.001)
+    time.sleep(0.05)
+    return took
+
+
+def dual_trajectory(length):
+    """The tool's error of the experiment, driven through a server and in one process, RMS [mm]."""
+    config = DualTrajectoryConfig(length=length)
+    thing = lr.load_robot("thing")
+    _, plan = planned(thing, config)
+    alone = tool_metrics(execute(thing, plan, config.execution(0, "closed")).traces)["tool_error"]["value"]
+    server = Server("sim", "--world", config.execution(0, "closed").world)
+    states = []
+    with lr.connect(_ADDRESS) as client:
+        client.on_state(states.append)
+        client.execute(plan)
+    server.end()
+    following = [s for s in states if s.goal == "follow" and s.tool_truth is not None]
+    goals = np.array([s.reference for s in following])
+    moving = np.flatnonzero(np.any(np.diff(goals, axis=0) != 0.0, axis=1))
+    following = following[moving[0] : moving[-1] + 2]
+    should = thing.forward(np.array([s.reference for s in following]))[:, :3, 3]
+    error = np.linalg.norm(should - np.array([s.tool_truth[:3, 3] for s in following]), axis=1)
+    through = float(np.sqrt(np.mean(error**2)))
+    print(f"tool's error: {1e3 * through:.3f} mm through the network, {1e3 * alone:.3f} mm in one process")
+    print(f"ratio {through / alone:.2f} (bar: within 10 %)")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--hardware", default="sim")
+    parser.add_argument("--dual-trajectory", action="store_true")
+    parser.add_argument("--length", type=float, default=2.0)
+    options = parser.parse_args()
+    if options.dual_trajectory:
+        dual_trajectory(options.length)
+        return
+    server = Server(options.hardware)
+    try:
+        costs(server, min(10.0, 15.0 * options.minutes))
+        ways(server, options.minutes)
+    finally:
+        server.end()
+
+
+if __name__ == "__main__":
+    main()
