@@ -3,8 +3,8 @@
     python benchmarks/live.py --minutes 10              losses, delays, the server's CPU and memory
     python benchmarks/live.py --dual-trajectory         the tool's error through the network beside that in one process
 
-The server is `longreach serve` with a simulated Thing, physics and scans, in a process of its own; each client that only
-watches is one, too.
+The server is `longreach serve` with a simulated Thing, physics and scans, in a process of its own, as are the clients
+that only watch.
 """
 
 import argparse
@@ -126,27 +126,36 @@ def stop_takes(client):
     return took
 
 
-def dual_trajectory(length):
-    """The tool's error of the experiment, driven through a server and in one process, RMS [mm]."""
-    config = DualTrajectoryConfig(length=length)
-    thing = lr.load_robot("thing")
+def dual_trajectory(length, seeds):
+    """The tool's error of the experiment, driven through a server and in one process, RMS [mm], of some seeds."""
+    config, thing = DualTrajectoryConfig(length=length), lr.load_robot("thing")
     _, plan = planned(thing, config)
-    alone = tool_metrics(execute(thing, plan, config.execution(0, "closed")).traces)["tool_error"]["value"]
-    server = Server("sim", "--world", config.execution(0, "closed").world)
-    states = []
-    with lr.connect(_ADDRESS) as client:
-        client.on_state(states.append)
-        client.execute(plan)
-    server.end()
+    both = []
+    for seed in range(seeds):
+        settings = config.execution(seed, "closed")
+        alone = tool_metrics(execute(thing, plan, settings).traces)["tool_error"]["value"]
+        server = Server("sim", "--world", settings.world, "--seed", str(seed))
+        states = []
+        with lr.connect(_ADDRESS) as client:
+            client.on_state(states.append)
+            client.execute(plan)
+        server.end()
+        both.append((tool_error(thing, states), alone))
+        print(
+            "seed {}: {:.3f} mm through the network, {:.3f} mm in one process".format(seed, *1e3 * np.array(both[-1]))
+        )
+    through, alone = np.sqrt(np.mean(np.square(both), axis=0))
+    print(f"ratio {through / alone:.2f} (bar: within 10 %)")
+
+
+def tool_error(thing, states):
+    """Where the tool was, less where it should be while the plan moves, RMS [m]."""
     following = [s for s in states if s.goal == "follow" and s.tool_truth is not None]
     goals = np.array([s.reference for s in following])
     moving = np.flatnonzero(np.any(np.diff(goals, axis=0) != 0.0, axis=1))
-    following = following[moving[0] : moving[-1] + 2]
-    should = thing.forward(np.array([s.reference for s in following]))[:, :3, 3]
-    error = np.linalg.norm(should - np.array([s.tool_truth[:3, 3] for s in following]), axis=1)
-    through = float(np.sqrt(np.mean(error**2)))
-    print(f"tool's error: {1e3 * through:.3f} mm through the network, {1e3 * alone:.3f} mm in one process")
-    print(f"ratio {through / alone:.2f} (bar: within 10 %)")
+    following, goals = following[moving[0] : moving[-1] + 2], goals[moving[0] : moving[-1] + 2]
+    error = thing.forward(goals)[:, :3, 3] - np.array([s.tool_truth[:3, 3] for s in following])
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def main():
@@ -155,9 +164,10 @@ def main():
     parser.add_argument("--hardware", default="sim")
     parser.add_argument("--dual-trajectory", action="store_true")
     parser.add_argument("--length", type=float, default=2.0)
+    parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
     if options.dual_trajectory:
-        dual_trajectory(options.length)
+        dual_trajectory(options.length, options.seeds)
         return
     server = Server(options.hardware)
     try:

@@ -16,7 +16,7 @@ from longreach.control.hardware import Readings
 from longreach.io import records
 from longreach.live import keys, orders
 from longreach.live.frames import Frames
-from longreach.live.keys import Topic, attached
+from longreach.live.keys import Sensed, Topic, attached
 from longreach.live.state import LiveState
 from longreach.measurement import LaserScan
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -56,15 +56,16 @@ class Ears:
         self._new: dict[str, deque[Any]] = {
             name: deque(maxlen=_KEPT) for name in ("wheels", "scans", "imu", "joints", "wrenches")
         }
+        self._topics = topics = Sensed.of(robot.description)
         takes = {
             keys.ESTIMATE: partial(self._parts.__setitem__, keys.ESTIMATE),
             keys.WHEELS_ALONE: partial(self._parts.__setitem__, keys.WHEELS_ALONE),
-            keys.TRUTH: partial(self._parts.__setitem__, keys.TRUTH),
+            topics.truth: partial(self._parts.__setitem__, topics.truth),
             keys.TOOL_TRUTH: partial(self._parts.__setitem__, keys.TOOL_TRUTH),
             keys.REFERENCE: partial(self._parts.__setitem__, keys.REFERENCE),
             keys.STATUS: self._take_status,
-            keys.ARM: self._take_arm,
-            keys.SCAN: self._take_scan,
+            topics.arm: self._take_arm,
+            topics.scans: self._take_scan,
             keys.PLAN: self._take_plan,
         }
         self._session, self._senses = session, False
@@ -79,9 +80,9 @@ class Ears:
             return
         self._senses, robot = True, self.robot.description
         takes = {
-            keys.WHEELS: lambda m: self._keep("wheels", m, (records.wheels(m, robot) or (False, None))[1]),
-            keys.IMU: lambda m: self._keep("imu", m, records.imu(m)),
-            keys.WRENCH: lambda m: self._keep("wrenches", m, records.wrench(m)),
+            self._topics.wheels: lambda m: self._keep("wheels", m, (records.wheels(m, robot) or (False, None))[1]),
+            self._topics.imu: lambda m: self._keep("imu", m, records.imu(m)),
+            self._topics.wrench: lambda m: self._keep("wrenches", m, records.wrench(m)),
         }
         self._declared += [self._subscribe(topic, take) for topic, take in takes.items()]
 
@@ -127,8 +128,8 @@ class Ears:
             covariance = np.zeros((3, 3)) if covariance is None else covariance
             wheels = self._made(records.odometry(self._parts[keys.WHEELS_ALONE]), stamp).pose
             q, v = np.concatenate([pose, q]), np.concatenate([said.twist, v])
-        if keys.TRUTH in self._parts:
-            known = records.stamped_pose(self._parts[keys.TRUTH])
+        if self._topics.truth in self._parts:
+            known = records.stamped_pose(self._parts[self._topics.truth])
             truth = None if known is None else known[0]
         if keys.TOOL_TRUTH in self._parts:
             tool = orders.tool(self._parts[keys.TOOL_TRUTH])

@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 
 from rosbags.typesys import Stores, get_typestore
 
+from longreach.io.bag_topics import USUAL
+from longreach.robot.description import RobotDescription
+
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES: Mapping[str, Any] = STORE.types
 _ATTACHED = struct.Struct("<qqB16s")  # the 1 byte is the length of what follows
@@ -47,18 +50,12 @@ def _key(name: str, type: str) -> str:
     return f"0/{name.strip('/')}/{package}::msg::dds_::{kind}_/{STORE.hash_rihs01(type)}"
 
 
-# What the robot says.
-ARM = Topic("/arm/joint_states", "sensor_msgs/msg/JointState", 65536)
+# What the robot says; what it senses is in `Sensed`.
 ESTIMATE = Topic("/odometry/filtered", "nav_msgs/msg/Odometry")
 WHEELS_ALONE = Topic("/odom", "nav_msgs/msg/Odometry")
-TRUTH = Topic("/truth", "geometry_msgs/msg/PoseStamped")
 TOOL_TRUTH = Topic("/tool/truth", "geometry_msgs/msg/PoseStamped")
 REFERENCE = Topic("/reference", "sensor_msgs/msg/JointState", 65536)
 STATUS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 65536)
-SCAN = Topic("/scan", "sensor_msgs/msg/LaserScan", 1 << 20)
-WHEELS = Topic("/joint_states", "sensor_msgs/msg/JointState", 65536)
-IMU = Topic("/imu/data", "sensor_msgs/msg/Imu")
-WRENCH = Topic("/wrench", "geometry_msgs/msg/WrenchStamped")
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", 1 << 20)
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1 << 20)
 PLAN = Topic("/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
@@ -74,6 +71,31 @@ HEARTBEAT = Topic("/longreach/heartbeat", "std_msgs/msg/Header")
 ORDER = Topic("/longreach/order", "std_msgs/msg/String")
 EXECUTE = Topic("/longreach/execute", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
 CLOCK = Topic("/longreach/clock", "sensor_msgs/msg/TimeReference")
+
+
+class Sensed(NamedTuple):
+    """The topics of a robot's sensors, and of the truth where it is known, as its description names them."""
+
+    wheels: Topic
+    scans: Topic
+    imu: Topic
+    wrench: Topic
+    arm: Topic
+    truth: Topic
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> "Sensed":
+        """Return those of a robot; what its description does not name has ROS' usual names."""
+        topics = robot.topics
+        usual = topics.wheels is None or topics.wheels == WHEELS_ALONE.name
+        return cls(
+            Topic("/joint_states" if usual else str(topics.wheels), "sensor_msgs/msg/JointState", 65536),
+            Topic(topics.lidar or "/scan", "sensor_msgs/msg/LaserScan", 1 << 20),
+            Topic(topics.imu or "/imu/data", "sensor_msgs/msg/Imu"),
+            Topic(topics.wrench or USUAL["wrench"], "geometry_msgs/msg/WrenchStamped"),
+            Topic(topics.joints or USUAL["joints"], "sensor_msgs/msg/JointState", 65536),
+            Topic(topics.truth or "/truth", "geometry_msgs/msg/PoseStamped"),
+        )
 
 
 class Attached(NamedTuple):

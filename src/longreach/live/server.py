@@ -14,7 +14,7 @@ from longreach.app.tracker import TrackerConfig
 from longreach.io import messages
 from longreach.live import keys, telling
 from longreach.live.door import Door, Refusals
-from longreach.live.keys import TYPES, Topic
+from longreach.live.keys import TYPES, Sensed, Topic
 from longreach.live.link import open_server, zenoh
 from longreach.live.listener import Listener
 from longreach.live.recorder import Recorder
@@ -24,8 +24,7 @@ from longreach.sim.simulated import Truth
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
 _STREAMS = (
-    keys.ARM, keys.ESTIMATE, keys.WHEELS_ALONE, keys.TRUTH, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.SCAN,
-    keys.WHEELS, keys.IMU, keys.WRENCH, keys.TF, keys.TF_STATIC, keys.PLAN,
+    keys.ESTIMATE, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF, keys.TF_STATIC, keys.PLAN,
 )  # fmt: skip
 
 
@@ -57,10 +56,10 @@ class Server:
     ) -> None:
         self._robot, self._truth, self._recorder = robot, truth, recorder
         self._nonce = secrets.token_bytes(16)
-        self._senders = {
-            topic: secrets.token_bytes(16) for topic in _STREAMS
-        }  # each publisher is told apart, as in ROS
-        self._numbers = dict.fromkeys(_STREAMS, 0)
+        self._sensed = Sensed.of(robot.description)
+        streams = (*_STREAMS, *self._sensed)
+        self._senders = {topic: secrets.token_bytes(16) for topic in streams}  # each publisher is told apart, as in ROS
+        self._numbers = dict.fromkeys(streams, 0)
         self._moment: Moment | None = None
         self._published = time.monotonic()
         self._progress, self._plans = 0.0, 0
@@ -74,7 +73,7 @@ class Server:
             topic: self._session.declare_publisher(
                 topic.key, congestion_control=z.CongestionControl.DROP, priority=z.Priority.REAL_TIME, express=True
             )
-            for topic in _STREAMS
+            for topic in streams
         }
         String = TYPES["std_msgs/msg/String"]
         lasting = {
@@ -111,9 +110,9 @@ class Server:
             self._plans, self._progress = self._listener.plans, 0.0
             self._say(keys.PLAN, self._plan(), now)
         self._say_status(moment, now)
-        for topic, message in telling.state(self._robot, moment, truth):
+        for topic, message in telling.state(self._robot, self._sensed, moment, truth):
             self._say(topic, message, now)
-        for topic, message in telling.sensors(self._robot, moment):
+        for topic, message in telling.sensors(self._robot, self._sensed, moment):
             self._say(topic, message, now)
         if now >= self._frames_due:
             self._frames_due = now + _FRAMES_EVERY - 1e-6

@@ -20,6 +20,7 @@ from longreach.io.config import description_file, to_yaml
 from longreach.io.robots import load_robot
 from longreach.live import telling
 from longreach.live.door import Refusals
+from longreach.live.keys import Sensed
 from longreach.live.recorder import recording
 from longreach.live.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -88,7 +89,9 @@ def rehearse(robot: MobileManipulator) -> None:
             body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, moments.append,
             lambda: "The rehearsal is over." if len(moments) > _REHEARSED else "", tracker_config(body, robot),
         )  # fmt: skip
-        for topic, message in [m for moment in moments for m in telling.state(robot, moment, body.truth())]:
+        for topic, message in [
+            m for moment in moments for m in telling.state(robot, Sensed.of(robot.description), moment, body.truth())
+        ]:
             topic.pack(message)
 
 

@@ -11,7 +11,7 @@ from longreach.geometry import so3
 from longreach.io import messages
 from longreach.live import keys
 from longreach.live.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
-from longreach.live.keys import TYPES, Topic
+from longreach.live.keys import TYPES, Sensed, Topic
 from longreach.measurement import Odometry, WheelSpeeds
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
@@ -24,7 +24,7 @@ def goal_name(moment: Moment) -> str:
     return type(moment.state.goal).__name__.lower()
 
 
-def state(robot: MobileManipulator, moment: Moment, truth: Truth | None) -> Said:
+def state(robot: MobileManipulator, topics: Sensed, moment: Moment, truth: Truth | None) -> Said:
     """Yield what makes a `LiveState`; the arm comes last and completes it."""
     tick, stamp = moment.tick, moment.tick.stamp
     newest = moment.state.localizer.filter.belief
@@ -34,12 +34,12 @@ def state(robot: MobileManipulator, moment: Moment, truth: Truth | None) -> Said
         yield keys.WHEELS_ALONE, messages.odometry(TYPES, stamp, Odometry(stamp, moment.wheels))
         yield keys.ESTIMATE, messages.odometry(TYPES, stamp, said, MAP)
     if truth is not None:
-        yield keys.TRUTH, messages.pose_stamped(TYPES, stamp, truth.base)
+        yield topics.truth, messages.pose_stamped(TYPES, stamp, truth.base)
         yield keys.TOOL_TRUTH, messages.tool_pose(TYPES, stamp, truth.tool)
     if isinstance(moment.state.goal, Follow):
         yield keys.REFERENCE, messages.joint_state(TYPES, stamp, robot.joint_names, tick.q_reference)
     names, position, velocity = _joints(robot, moment)
-    yield keys.ARM, messages.joint_state(TYPES, stamp, names, position, velocity)
+    yield topics.arm, messages.joint_state(TYPES, stamp, names, position, velocity)
 
 
 def _joints(robot: MobileManipulator, moment: Moment) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -59,20 +59,20 @@ def _joints(robot: MobileManipulator, moment: Moment) -> tuple[list[str], np.nda
     return names, position, velocity
 
 
-def sensors(robot: MobileManipulator, moment: Moment) -> Said:
+def sensors(robot: MobileManipulator, topics: Sensed, moment: Moment) -> Said:
     """Yield what was measured, each with its own stamp."""
     readings, base = moment.readings, robot.description.base
     for scan in readings.scans:
-        yield keys.SCAN, messages.laser_scan(TYPES, scan.stamp, scan)
+        yield topics.scans, messages.laser_scan(TYPES, scan.stamp, scan)
     for wheels in readings.wheels:
         if isinstance(wheels, Odometry) or base is None:
             continue  # a driver's own odometry is in the estimate
         values = {"velocity": wheels.speeds} if isinstance(wheels, WheelSpeeds) else {"position": wheels.ticks}
-        yield keys.WHEELS, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
+        yield topics.wheels, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
     for imu in readings.imu:
-        yield keys.IMU, messages.imu(TYPES, imu.stamp, imu)
+        yield topics.imu, messages.imu(TYPES, imu.stamp, imu)
     for wrench in readings.wrenches:
-        yield keys.WRENCH, messages.wrench(TYPES, wrench.stamp, wrench)
+        yield topics.wrench, messages.wrench(TYPES, wrench.stamp, wrench)
 
 
 def status(moment: Moment, values: Mapping[str, str]) -> Any:
