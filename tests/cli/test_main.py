@@ -10,7 +10,7 @@ from longreach.cli import estimate, info
 from longreach.errors import LongreachError
 
 HEAVY = ("numpy", "numba", "scipy", "matplotlib", "rosbags", "jaxtyping", "longreach.app")
-VERBS = ("info", "estimate", "evaluate", "plan", "run", "warmup")
+VERBS = ("info", "estimate", "evaluate", "plan", "run", "serve", "connect", "warmup")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], *([verb, "--help"] for verb in VERBS)], ids=" ".join)

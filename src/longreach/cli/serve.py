@@ -28,10 +28,11 @@ def command(
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.io.robots import load_robot
+    from longreach.live.describing import described
     from longreach.live.door import Refusals
     from longreach.live.refused_links import counted
     from longreach.live.server import ServerConfig
-    from longreach.live.serving import described, rehearse, serve
+    from longreach.live.serving import rehearse, serve
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
     loaded, config, refusals = load_robot(robot), ServerConfig(address, token, certificates), Refusals()
@@ -42,24 +43,28 @@ def command(
     body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
     sys.setswitchinterval(5e-4)  # the loop's thread does not wait long for the network's
 
-    def ready(_: Any) -> None:
-        typer.echo(f"Serving {loaded.name} at {address}; longreach connect {address} watches it. Ctrl-C ends it.")
-        sys.stdout.flush()
-
     with counted(refusals):
         rhythm = serve(
             body, wait_until, loaded, described(robot), config, _ended(duration),
-            record=record, scans=scans, refusals=refusals, ready=ready,
+            record=record, scans=scans, refusals=refusals, ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
-    busy = rhythm.busy
-    typer.echo(
-        f"{rhythm.ticks} ticks, {rhythm.late} late; a tick took {1e3 * busy.percentile(50):.1f} ms, "
-        f"{1e3 * busy.percentile(99):.1f} ms at the 99th percentile."
-    )
-    for why, count in sorted(refusals.counts.items()):
-        typer.echo(f"Refused {count}: {why}.")
+    _say_how_it_was(rhythm, refusals)
     if record is not None:
         typer.echo(f"The recording is {record}.")
+
+
+def _say_ready(name: str, address: str) -> None:
+    import sys
+
+    typer.echo(f"Serving {name} at {address}; longreach connect {address} watches it. Ctrl-C ends it.")
+    sys.stdout.flush()
+
+
+def _say_how_it_was(rhythm: Any, refusals: Any) -> None:
+    median, longest = (1e3 * rhythm.busy.percentile(p) for p in (50, 99))
+    typer.echo(f"{rhythm.ticks} ticks; one took {median:.1f} ms, {longest:.1f} ms at the 99th percentile.")
+    for why, count in sorted(refusals.counts.items()):
+        typer.echo(f"Refused {count}: {why}.")
 
 
 def _hardware(kind: str, robot: Any, world: str, seed: int, scans: bool) -> tuple[Any, Any, bool]:

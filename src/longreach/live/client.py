@@ -5,7 +5,6 @@
 
 import getpass
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -13,22 +12,20 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, GripperCommand, Promises, Readings, promises_of
 from longreach.errors import LiveError
 from longreach.io import messages
-from longreach.io.config import validated
 from longreach.live import keys, motions, orders
+from longreach.live.describing import heard_description
 from longreach.live.hearing import Ears
 from longreach.live.keys import TYPES
 from longreach.live.line import Line
 from longreach.live.state import LiveState
 from longreach.measurement import LaserScan
 from longreach.reference import Reference
-from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
@@ -66,29 +63,12 @@ def connect(
     return client
 
 
-def _described(line: Line) -> MobileManipulator:
-    """Return the robot that a server describes.
-
-    Raises:
-        LiveError: it describes none.
-    """
-    description, urdf = line.lasting(keys.DESCRIPTION), line.lasting(keys.URDF)
-    if description is None or urdf is None:
-        raise LiveError("The robot does not describe itself; is this a longreach server?")
-    model = validated(RobotDescription, yaml.safe_load(description.data), "the robot's description")
-    with tempfile.TemporaryDirectory() as folder:
-        if model.arm is not None and model.arm.urdf is not None:
-            model = model.model_copy(update={"arm": model.arm.model_copy(update={"urdf": "robot.urdf"})})
-            (Path(folder) / "robot.urdf").write_text(urdf.data, encoding="utf-8")
-        return MobileManipulator.from_description(model, Path(folder))
-
-
 class Client:
     """A robot at the other end of a network; made by `connect`. All of it may be called from any thread."""
 
     def __init__(self, line: Line, name: str) -> None:
         self._line, self.name = line, name
-        self._robot = _described(line)
+        self._robot = heard_description(line)
         self._ears = Ears(line.session, self._robot)
         plan = line.lasting(keys.PLAN)
         if plan is not None:

@@ -16,8 +16,6 @@ from longreach.control.hardware import Command, Hardware
 from longreach.control.safety_config import SafetyConfig
 from longreach.control.ticker import Ticker
 from longreach.errors import ConfigError
-from longreach.io.config import description_file, to_yaml
-from longreach.io.robots import load_robot
 from longreach.live import telling
 from longreach.live.door import Refusals
 from longreach.live.keys import Sensed
@@ -47,15 +45,6 @@ def simulated(kind: str, robot: MobileManipulator, world: str, seed: int, scans:
         present = ("wheels", "imu", "joints", "lidar") if scans else ("wheels", "imu", "joints")
         return KinematicRobot(robot, world, seed=seed, config=KinematicConfig(sensors=_SELDOM, present=present))
     raise ConfigError(f"There is no hardware {kind!r}; there are {', '.join(SIMULATED)} and ros.")
-
-
-def described(robot: str) -> tuple[str, str]:
-    """Return the YAML of a robot's description, and its URDF or an empty text."""
-    path = Path(robot) if robot.endswith(".urdf") else description_file(robot)
-    description = load_robot(robot).description
-    arm = description.arm
-    urdf = "" if arm is None or arm.urdf is None else (path.parent / arm.urdf).read_text(encoding="utf-8")
-    return to_yaml(description), urdf
 
 
 def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = True) -> TrackerConfig:
