@@ -23,6 +23,8 @@ def _rows(*arrays: np.ndarray) -> tuple[list[np.ndarray], tuple[int, ...]]:
 
 def exp(xi: Tangent) -> Pose:
     """Move from the identity by the twist ξ for one second."""
+    if np.ndim(xi) == 1:
+        return np.array(_kernels.se2_exp(*xi.tolist()))
     (xi,), shape = _rows(xi)
     out = np.empty_like(xi)
     _kernels.se2_exp_all(xi, out)
@@ -31,6 +33,8 @@ def exp(xi: Tangent) -> Pose:
 
 def log(pose: Pose) -> Tangent:
     """Return the twist ξ, |ω| ≤ π, with exp(ξ) = pose."""
+    if np.ndim(pose) == 1:
+        return np.array(_kernels.se2_log(*pose.tolist()))
     (pose,), shape = _rows(pose)
     out = np.empty_like(pose)
     _kernels.se2_log_all(pose, out)
@@ -39,6 +43,8 @@ def log(pose: Pose) -> Tangent:
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return a · b; shapes broadcast."""
+    if np.ndim(a) == 1 and np.ndim(b) == 1:
+        return np.array(_kernels.se2_compose(*a.tolist(), *b.tolist()))
     (a, b), shape = _rows(a, b)
     out = np.empty_like(a)
     _kernels.se2_compose_all(a, b, out)
@@ -47,6 +53,8 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return a⁻¹ · b, the pose b as seen from a; shapes broadcast."""
+    if np.ndim(a) == 1 and np.ndim(b) == 1:
+        return np.array(_kernels.se2_between(*a.tolist(), *b.tolist()))
     (a, b), shape = _rows(a, b)
     out = np.empty_like(a)
     _kernels.se2_between_all(a, b, out)

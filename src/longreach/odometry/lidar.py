@@ -81,12 +81,16 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class LidarState:
-    """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean."""
+    """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean.
+
+    told: when a scan last told all directions, or the first one was.
+    """
 
     config: LidarConfig
     T_base_laser: Float[np.ndarray, "4 4"]
     references: tuple[Reference, ...] = ()
     stamp: float = -math.inf
+    told: float = math.inf
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
 
 
@@ -117,6 +121,7 @@ def step(
     points = _points(state, scan, geometry, guide, period)
     if place is None:
         reason = "the scan is the first of its kind"
+        state = replace(state, told=min(state.told, scan.stamp))
         return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
             scan.stamp, None, reason, 0, keyframe=True
         )
@@ -129,8 +134,11 @@ def step(
 
 def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np.ndarray, stamp: float) -> Fit:
     """Match from the guess, and where few points agree from what range flow finds since the last scan, too."""
-    config, since = state.config, stamp - reference.stamp
-    free = np.array([config.speed * since, config.speed * since, config.turn * since]) ** 2
+    config, told = state.config, min(state.told, reference.stamp)
+    # What has not been told for a while is off by ever more of the same, not at random: its deviation grows with time,
+    # from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
+    growth = (stamp - told) ** 2 - (reference.stamp - told) ** 2
+    free = np.array([config.speed, config.speed, config.turn]) ** 2 * growth
 
     def from_guess(moved: np.ndarray) -> Fit:
         far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
@@ -229,9 +237,10 @@ def _matched(
         or (len(found.directions) and config.speed * (scan.stamp - reference.stamp) > 2.0 * config.distance)
     )
     last = se2.log(moved)
-    motion = np.stack([last, state.motion[1] + _FRESH * (last - state.motion[1])])
+    motion = np.array([last, state.motion[1] + _FRESH * (last - state.motion[1])])
+    told = state.told if len(found.directions) else scan.stamp
     if keyframe:
-        state = _restarted(state, scan, reference.geometry, points, moved, place)
+        references = _restarted(state, scan, reference.geometry, points, moved, place).references
     else:
         references = tuple(
             replace(known, pose=found.pose, last=points, lost=0)
@@ -239,9 +248,9 @@ def _matched(
             else replace(known, pose=se2.compose(known.pose, moved))
             for i, known in enumerate(state.references)
         )
-        state = replace(state, references=references, stamp=scan.stamp)
+    state = LidarState(config, state.T_base_laser, references, scan.stamp, told, motion)
     match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
-    return replace(state, motion=motion), match
+    return state, match
 
 
 def lidar_odometry(
