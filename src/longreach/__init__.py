@@ -38,7 +38,7 @@ _PUBLIC = {
     "thesis_problem": "longreach.planning.thesis_problem",
     "solve_priority": "longreach.planning.task_priority",
     "connect": "longreach.live.client",
-    "lookup": "longreach.live.client",
+    "lookup": "longreach.live.frames",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

@@ -7,9 +7,13 @@ import pytest
 from live_networks import until
 
 import longreach as lr
+from longreach.app import robot_side
+from longreach.app.goals import Follow
+from longreach.app.robot_side import Orders
 from longreach.cli.main import main
 from longreach.control.hardware import Hardware
 from longreach.errors import LiveError, PlanningError
+from longreach.live.serving import simulated, tracker_config
 
 
 @pytest.fixture
@@ -61,6 +65,25 @@ def test_velocities_move_base_and_arm_and_end_by_themselves(client):
     moved = client.state.q - before
     assert moved[0] > 0.05
     assert moved[3] > 0.03
+
+
+def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, to, thing):
+    served = serve("--seed", 5).ready()
+    client, states = to(served), []
+    goal = client.state.q + np.array([0.2, 0.05, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    client.on_state(states.append)
+    client.move_to(goal)
+    served.end()
+    plan, body, alone = client.plan_running, simulated("kinematic", thing, "laboratory", 5, scans=False), {}
+    began = next(state.stamp for state in states if state.goal == "follow")
+    robot_side.run(
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3),
+        lambda now: Orders(goal=Follow(plan, -0.3) if abs(now - began) < 1e-6 else None),
+        lambda moment: alone.__setitem__(round(moment.tick.stamp, 6), moment.tick),
+        lambda: "over" if body.stamp > states[-1].stamp else "", tracker_config(body, thing, scans=False),
+    )  # fmt: skip
+    assert all(np.allclose(s.q, alone[round(s.stamp, 6)].q, atol=1e-6) for s in states)
+    assert np.allclose(states[-1].q, goal, atol=5e-3)
 
 
 def test_a_pose_of_the_tool_is_planned_and_reached(client):

@@ -20,6 +20,7 @@ from longreach.errors import LiveError
 from longreach.io import messages
 from longreach.live import keys, motions, orders
 from longreach.live.describing import heard_description
+from longreach.live.frames import connected
 from longreach.live.hearing import Ears
 from longreach.live.keys import TYPES
 from longreach.live.line import Line
@@ -30,7 +31,6 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
 _PATIENCE = 5.0  # beyond the time that a plan takes [s]
-_connected: list["Client"] = []  # newest last; for `lookup`
 
 
 def connect(
@@ -59,7 +59,7 @@ def connect(
     except BaseException:
         line.close()
         raise
-    _connected.append(client)
+    connected.append(client._ears.frames)
     return client
 
 
@@ -279,11 +279,12 @@ class Client:
 
     def close(self) -> None:
         """Release the robot and hang up."""
-        if self in _connected:
-            _connected.remove(self)
+        if self._ears.frames in connected:
+            connected.remove(self._ears.frames)
         with suppress(LiveError):
             self.release()
         self._line.close()
+        self._ears.close()
 
     def __enter__(self) -> "Client":
         """Return the client."""
@@ -292,14 +293,3 @@ class Client:
     def __exit__(self, *_: object) -> None:
         """Hang up."""
         self.close()
-
-
-def lookup(target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
-    """Return T_target_source as the robot that was connected to last says; see `Client.lookup`.
-
-    Raises:
-        LiveError: no robot is connected, or it has no such frames then.
-    """
-    if not _connected:
-        raise LiveError("No robot is connected; call longreach.connect first.")
-    return _connected[-1].lookup(target, source, stamp)

@@ -136,3 +136,17 @@ class Frames:
     def names(self) -> Iterator[str]:
         """Yield the names of all frames."""
         yield from (MAP, ODOM, self._root, *self._parents)
+
+
+connected: list[Frames] = []  # of the robots that are connected, the newest last
+
+
+def lookup(target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
+    """Return T_target_source as the robot that was connected to last says; see `Frames.lookup`.
+
+    Raises:
+        LiveError: no robot is connected, or it has no such frames then.
+    """
+    if not connected:
+        raise LiveError("No robot is connected; call longreach.connect first.")
+    return connected[-1].lookup(target, source, stamp)

@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from threading import Condition
+from queue import SimpleQueue
+from threading import Condition, Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,10 +18,12 @@ from longreach.io import records
 from longreach.live import keys, orders
 from longreach.live.frames import Frames
 from longreach.live.keys import Sensed, Topic, attached
+from longreach.live.link import zenoh
 from longreach.live.state import LiveState
 from longreach.measurement import LaserScan
 from longreach.robot.mobile_manipulator import MobileManipulator
 
+_WAITING = 10_000  # messages that are not looked at yet
 _KEPT = 1000  # readings of a kind that nobody has asked for
 
 _T = TypeVar("_T")
@@ -69,10 +72,13 @@ class Ears:
             keys.PLAN: self._take_plan,
         }
         self._session, self._senses = session, False
+        self._waiting: SimpleQueue[Any] = SimpleQueue()
+        Thread(target=self._hear, name="hearing", daemon=True).start()
         self._declared = [self._subscribe(topic, take) for topic, take in takes.items()]
 
     def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> Any:
-        return self._session.declare_subscriber(topic.key, partial(self._hear, topic, take))
+        arrived = partial(self._arrived, topic, take)
+        return self._session.declare_subscriber(topic.key, zenoh().handlers.Callback(arrived, indirect=False))
 
     def sense(self) -> None:
         """Hear what wheels, IMU and wrench say, too, from now on; most clients need not."""
@@ -86,24 +92,36 @@ class Ears:
         }
         self._declared += [self._subscribe(topic, take) for topic, take in takes.items()]
 
-    def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
-        """Take a message; one that is none, or too large, is counted and passed over."""
-        came = time.time_ns()
-        try:
-            if len(sample.payload) > topic.limit or sample.attachment is None:
-                raise ValueError
-            about, _ = attached(bytes(sample.attachment))
-            message = topic.unpack(bytes(sample.payload))
-            take(message)
-        except Exception:
-            self.malformed += 1
-            _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
-            return
+    def _arrived(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+        """Put what has arrived in the queue, in zenoh's own thread; where nobody keeps up with it, it is lost."""
+        if self._waiting.qsize() < _WAITING:
+            self._waiting.put((time.time_ns(), topic, take, sample))
+
+    def _hear(self) -> None:
+        """Take what has arrived in its order, whatever topic it is of, until the line is closed."""
+        while (item := self._waiting.get()) is not None:
+            came, topic, take, sample = item
+            try:
+                self._take(came, topic, take, sample)
+            except Exception:
+                self.malformed += 1
+                _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
+
+    def _take(self, came: int, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+        """Take a message. Whatever it raises: it is none, too large, or does not say what it should."""
+        if len(sample.payload) > topic.limit or sample.attachment is None:
+            raise ValueError("too large, or without an attachment")
+        about, _ = attached(bytes(sample.attachment))
+        take(topic.unpack(bytes(sample.payload)))
         self.delays.append(1e-9 * (came - about.sent_ns))
         before = self._numbers.get(about.sender)
         if before is not None:
             self.lost += max(about.number - before - 1, 0)
         self._numbers[about.sender] = about.number
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._waiting.put(None)
 
     def _take_status(self, message: Any) -> None:
         one = message.status[0]
@@ -119,23 +137,21 @@ class Ears:
         arm = robot.joint_names[robot.arm]
         q = np.array([joints[name] for name in arm])
         v = np.array([speeds.get(name, 0.0) for name in arm])
-        pose, covariance, wheels, truth, tool = np.zeros(3), np.zeros((3, 3)), np.zeros(3), None, None
+        pose, covariance, wheels = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
         if robot.base.stop:
-            if keys.ESTIMATE not in self._parts or keys.WHEELS_ALONE not in self._parts:
+            estimate, alone = self._part(keys.ESTIMATE, stamp), self._part(keys.WHEELS_ALONE, stamp)
+            if estimate is None or alone is None:  # lost on the way, or we have just begun to listen
                 return
-            said = self._made(records.odometry(self._parts[keys.ESTIMATE]), stamp)
+            said = self._made(records.odometry(estimate), stamp)
             pose, covariance = said.pose, said.pose_covariance
             covariance = np.zeros((3, 3)) if covariance is None else covariance
-            wheels = self._made(records.odometry(self._parts[keys.WHEELS_ALONE]), stamp).pose
+            wheels = self._made(records.odometry(alone), stamp).pose
             q, v = np.concatenate([pose, q]), np.concatenate([said.twist, v])
-        if self._topics.truth in self._parts:
-            known = records.stamped_pose(self._parts[self._topics.truth])
-            truth = None if known is None else known[0]
-        if keys.TOOL_TRUTH in self._parts:
-            tool = orders.tool(self._parts[keys.TOOL_TRUTH])
-        reference, status = q, self.status
-        if status.get("goal") == "follow" and keys.REFERENCE in self._parts:
-            reference = np.array(self._parts[keys.REFERENCE].position)
+        truth, tool = self._part(self._topics.truth, stamp), self._part(keys.TOOL_TRUTH, stamp)
+        known = None if truth is None else records.stamped_pose(truth)
+        truth, tool = None if known is None else known[0], None if tool is None else orders.tool(tool)
+        planned, status = self._part(keys.REFERENCE, stamp), self.status
+        reference = q if planned is None else np.array(planned.position)
         self.frames.add(stamp, tuple(message.name), np.array(message.position), pose, wheels)
         self._keep("joints", message, records.joints(message, robot.description))
         self._tell(LiveState(
@@ -145,6 +161,11 @@ class Ears:
             stop=status.get("stop", ""), latched=status.get("latched") == "1",
             holder=status.get("holder", ""), refused=int(status.get("refused") or 0),
         ))  # fmt: skip
+
+    def _part(self, topic: Topic, stamp: float) -> Any:
+        """Return what was said on a topic at the same tick, or None."""
+        message = self._parts.get(topic)
+        return message if message is not None and orders.stamp_of(message) == stamp else None
 
     @staticmethod
     def _made(make: Callable[..., Any] | None, stamp: float) -> Any:
