@@ -3,12 +3,14 @@
 import time
 
 import numpy as np
-from ros_nodes import listening, until
+from ros_nodes import listening, odometry, until
 
 from longreach.control.hardware import Command
+from longreach.geometry import se2
 from longreach.ros import wire
 from longreach.ros.hardware import connect_ros
 
+ODOMETRY = "nav_msgs/msg/Odometry"
 ACTION = "control_msgs/FollowJointTrajectoryAction"
 _LINE = "=" * 80 + "\n"
 
@@ -123,6 +125,37 @@ def driven(robot, arm, twist, velocity, seconds):
         hardware.close()
     counts = {kind: sum(len(getattr(r, kind)) for r in heard) for kind in ("wheels", "scans", "imu", "joints")}
     return q_after - q, base, base_after, still, counts
+
+
+def followed(robot, twist, seconds):
+    """Drive beside an estimate: the way (3,) that it thinks and the true one, tf's frame and its child, and who is told
+    of in the diagnostics."""
+    hardware = connect_ros(robot)
+    with (
+        listening("/truth", "geometry_msgs/msg/PoseStamped") as (truth, _),
+        listening("/odometry/filtered", ODOMETRY) as (filtered, ready),
+        listening("/tf", "tf2_msgs/msg/TFMessage") as (frames, _),
+        listening("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray") as (told, _),
+    ):
+        ready()
+        until(lambda: truth and filtered, 30.0, "the estimate")
+        true, thought = _place(truth[-1]), _thought(filtered[-1])
+        begin = hardware.read().stamp
+        for i in range(round(seconds / 0.02)):
+            hardware.wait_until(begin + 0.02 * i)
+            hardware.write(Command(hardware.read().stamp, base=np.array(twist)))
+        time.sleep(1.0)
+        way = se2.between(true, _place(truth[-1]))
+        way_thought = se2.between(thought, _thought(filtered[-1]))
+        hardware.close()
+    pairs = {(t.header.frame_id, t.child_frame_id) for message in frames for t in message.transforms}
+    (frame,) = {pair for pair in pairs if pair[1] == "base_link"}
+    return way_thought, way, frame, {status.name for message in told for status in message.status}
+
+
+def _thought(message):
+    (estimate,) = odometry([message]).values()
+    return estimate[0]
 
 
 def _place(message):

@@ -1,10 +1,12 @@
 """ROS 1 in tests: processes, waiting, and a recording that is played in."""
 
 import os
+import signal
 import socket
 import subprocess
 import time
 from contextlib import contextmanager
+from importlib import import_module
 
 import numpy as np
 
@@ -30,25 +32,33 @@ def until(condition, seconds=10.0, what="it"):
 
 @contextmanager
 def process(arguments, environment):
-    """A program that runs while the test does, and is interrupted then."""
-    started = subprocess.Popen(
-        [str(argument) for argument in arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
+    """A program that runs while the test does, and is interrupted then; it must end by itself."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    started = subprocess.Popen([str(argument) for argument in arguments], env=environment, **quiet)
     try:
         yield started
     finally:
-        started.terminate()
+        started.send_signal(signal.SIGINT)
         try:
-            started.communicate(timeout=10.0)
+            started.wait(timeout=15.0)
         except subprocess.TimeoutExpired:
             started.kill()
-            started.communicate()
+            started.wait()
 
 
 def this_node(environment):
     """Make this process a node of the ROS that the environment names."""
     os.environ.update(environment)
-    wire.start_node("tests", signals=False)
+    wire.start_node("tests")
+
+
+def can_import(module):
+    """Whether this process can import a module."""
+    try:
+        import_module(module)
+    except ImportError:
+        return False
+    return True
 
 
 def parameter(name, value):
@@ -99,10 +109,15 @@ def played(robot, recording, speed, topic, rest=1.0):
     with listening(topic, "nav_msgs/msg/Odometry") as (heard, ready):
         play(robot, recording, speed, ready)
         time.sleep(rest)
+    return odometry(heard)
+
+
+def odometry(messages):
+    """What odometry says: stamp → pose (3,) and covariance (3, 3)."""
     return {
         (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) / 10**9: (
             planar_pose(message.pose.pose.position, message.pose.pose.orientation),
             np.array(message.pose.covariance)[PLANAR].reshape(3, 3),
         )
-        for message in heard
+        for message in messages
     }

@@ -7,9 +7,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
-from ros_nodes import free_port, process, this_node
+from ros_nodes import can_import, free_port, process, this_node
 
-ROSMASTER = Path("/usr/bin/rosmaster")
+from longreach.ros.package import write_package
+
+ROSMASTER, ROSLAUNCH = Path("/usr/bin/rosmaster"), Path("/usr/bin/roslaunch")
 
 
 @pytest.fixture(scope="session")
@@ -41,3 +43,25 @@ def other(ros):
 def nodes(ros):
     """Start `longreach ros …` as a process."""
     return lambda *arguments: process([sys.executable, "-m", "longreach", "ros", *arguments], ros)
+
+
+@pytest.fixture(scope="session")
+def launched(ros, tmp_path_factory):
+    """Start one of our launch files, found in a package that was written for it, with arguments NAME:=VALUE."""
+    if not ROSLAUNCH.is_file():
+        pytest.skip("there is no roslaunch here; install Debian's python3-roslaunch")
+    packages = tmp_path_factory.mktemp("packages")
+    write_package(packages)
+    path = f"{packages}:{ros.get('ROS_PACKAGE_PATH', '')}"
+    return lambda *arguments: process([ROSLAUNCH, "longreach", *arguments], {**ros, "ROS_PACKAGE_PATH": path})
+
+
+@pytest.fixture
+def needs(other):
+    """Skip where a Python module of ROS is not there, or is another Python's."""
+
+    def importable(module):
+        if not other(can_import, module):
+            pytest.skip(f"{module} of ROS cannot be imported here; install Debian's package of it")
+
+    return importable

@@ -16,10 +16,10 @@ def thing():
     return load_description("thing")
 
 
-def test_a_recording_played_in_comes_out_as_the_estimate_of_it(thing, nodes, other):
+def test_a_recording_played_in_comes_out_as_the_estimate_of_it(thing, launched, other):
     recording = make_recording(thing, seed=1, duration=5.0, lidar_rate=20.0, beams=270)
     recording = recording.replace(wheels=recording.wheels[1:], scans=recording.scans[1:], imu=recording.imu[1:])
-    with nodes("estimate", "--robot", "thing"):
+    with launched("estimate.launch", "options:=--no-tf"):
         online = other(played, thing, recording, 1.5, "/odometry/settled")
     fused = estimate(recording, thing, EstimateConfig(evaluation=EvaluationConfig(align="none"))).trajectories["fused"]
     settled = np.flatnonzero(fused.stamps < fused.stamps[-1] - 0.52).tolist()

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_clients import action_goals, driven, frames_by_tf, joint_positions
-from ros_nodes import parameter, process
+from ros_clients import action_goals, driven, followed, frames_by_tf, joint_positions
 
 from longreach.geometry import se3, so3
 from longreach.io.robots import load_robot
@@ -23,13 +22,14 @@ def thing():
 
 
 @pytest.fixture(scope="module")
-def robot(nodes):
-    """A simulated Thing that runs."""
-    with nodes("robot", "--robot", "thing") as running:
+def robot(launched):
+    """A simulated Thing that runs, and robot_state_publisher with its URDF."""
+    with launched("simulated.launch") as running:
         yield running
 
 
-def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot, other):
+def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot, other, needs):
+    needs("actionlib")
     names, q = thing.joint_names[thing.arm], thing.home[thing.arm]
     goals = [
         (q + 0.15, 1.0, 0.0, None),
@@ -47,7 +47,8 @@ def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot
     assert cancelled[0] == PREEMPTED
 
 
-def test_the_arm_is_where_the_action_said_that_it_arrived(thing, robot, other):
+def test_the_arm_is_where_the_action_said_that_it_arrived(thing, robot, other, needs):
+    needs("actionlib")
     names, q = thing.joint_names[thing.arm], thing.home[thing.arm] + 0.1
     (ended,) = other(action_goals, names, [(q, 1.5, 0.0, None)])
     assert ended[:2] == (SUCCEEDED, 0)
@@ -68,17 +69,17 @@ def test_our_hardware_drives_base_and_arm_and_lets_go(thing, robot, other, arm):
     assert counts["imu"] > 70
 
 
-def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing, robot, ros, other):
+def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing, robot, other, needs):
     if not PUBLISHER.is_file():
         pytest.skip("Debian's ros-robot-state-publisher is not installed")
+    needs("tf2_py")
+    needs("tf2_msgs.msg")
     path = files("longreach") / "robot/descriptions/thing.urdf"
-    other(parameter, "/robot_description", path.read_text())
     urdf = read_urdf(path)
     ends = [joint.child for joint in urdf.joints if "wheel" not in joint.name]
     chains = {end: KinematicChain.from_urdf(path, "base_link", end) for end in ends}
     joints = tuple(joint.name for joint in urdf.joints if joint.moves and "wheel" not in joint.name)
-    with process([PUBLISHER], ros):
-        found = other(frames_by_tf, "base_link", ends, joints, 5)
+    found = other(frames_by_tf, "base_link", ends, joints, 5)
     for q, placed in found:
         angles = dict(zip(joints, q.tolist(), strict=True))
         for end, chain in chains.items():
@@ -88,6 +89,15 @@ def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing
             np.testing.assert_allclose(told, T, atol=1e-9, err_msg=end)
         q_all = np.concatenate([np.zeros(3), [angles[name] for name in thing.joint_names[thing.arm]]])
         np.testing.assert_allclose(thing.forward(q_all)[:3, 3], placed["tool"][:3], atol=1e-9)
+
+
+def test_the_estimate_beside_the_robot_follows_it(thing, robot, nodes, other):
+    with nodes("estimate", "--robot", "thing"):
+        estimated, true, frame, sources = other(followed, thing, [0.3, 0.1, 0.2], 2.0)
+    assert np.linalg.norm(true[:2]) > 0.3
+    np.testing.assert_allclose(estimated, true, atol=0.02)
+    assert frame == ("odom", "base_link")
+    assert {"longreach: wheels", "longreach: imu", "longreach: lidar", "longreach: robot"} <= sources
 
 
 def rotation(x, y, z, w):

@@ -57,14 +57,15 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
     wire.start_node("longreach_estimate")
     sensors = Sensors(robot, config.estimate.sources or _SOURCES)
     estimator, out, health = Estimator(robot, config.estimate), _Outputs(config), Diagnostics(sensors)
-    while not wire.rospy().is_shutdown():
-        time.sleep(1.0 / config.rate)
-        before = estimator.where
-        rows, corrections = estimator.take(sensors.take(), time.monotonic())
-        out.settled(rows)
-        if estimator.where is not None and (before is None or estimator.where.filter.stamp > before.filter.stamp):
-            out.filtered(estimator.where.filter.belief)
-        health.take(corrections)
+    with wire.running() as goes_on:
+        while goes_on():
+            time.sleep(1.0 / config.rate)
+            before = estimator.where
+            rows, corrections = estimator.take(sensors.take(), time.monotonic())
+            out.settled(rows)
+            if estimator.where is not None and (before is None or estimator.where.filter.stamp > before.filter.stamp):
+                out.filtered(estimator.where.filter.belief)
+            health.take(corrections)
 
 
 class Estimator:

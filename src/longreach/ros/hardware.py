@@ -57,7 +57,7 @@ def connect_ros(
         LiveError: rospy is not there, no master answers, the robot does not say where its joints are, or nobody takes
             commands.
     """
-    wire.start_node("longreach_hardware", signals=False, wait=timeout)
+    wire.start_node("longreach_hardware", timeout)
     hardware = RosHardware(robot, arm, controller or _CONTROLLERS[arm], base)
     hardware.wait(timeout)
     return hardware

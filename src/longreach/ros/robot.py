@@ -26,7 +26,7 @@ from longreach.ros.robot_topics import Topics
 from longreach.ros.trajectory_action import TrajectoryAction
 from longreach.sim.simulated import Simulated
 
-_BEHIND = 0.1  # [s] that a slow machine makes good; beyond that the robot's clock is set anew
+_BEHIND = 0.03  # [s] that a slow machine makes good; beyond that the robot's clock is set anew
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -63,15 +63,16 @@ def run(robot: MobileManipulator, simulation: Simulated, config: RobotConfig | N
     wire.start_node("longreach_robot")
     node = _Node(robot, simulation, config)
     period, due = 1.0 / simulation.promises.arm_rate, time.monotonic()
-    while not wire.rospy().is_shutdown():
-        due += period
-        wait = due - time.monotonic()
-        if wait < -_BEHIND:
-            node.late(-wait)
-            due -= wait
-        time.sleep(max(wait, 0.0))
-        simulation.advance(period)
-        node.tick()
+    with wire.running() as goes_on:
+        while goes_on():
+            due += period
+            wait = due - time.monotonic()
+            if wait < -_BEHIND:
+                node.late(-wait)
+                due -= wait
+            time.sleep(max(wait, 0.0))
+            simulation.advance(period)
+            node.tick()
     simulation.stop("The node has ended.")
 
 

@@ -6,13 +6,16 @@ Debian's packages, whose folder is then put last, behind all that this environme
 """
 
 import atexit
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -87,10 +90,10 @@ def rospy() -> Any:
         ) from error
 
 
-def start_node(name: str, *, signals: bool = True, wait: float = 10.0) -> None:
+def start_node(name: str, wait: float = 10.0) -> None:
     """Become a node, unless this process is one already; what roslaunch calls it goes before.
 
-    Arguments: signals: whether an interrupt ends the node. wait: for how long a master is waited for [s].
+    wait: for how long a master is waited for [s]. Interrupts are not rospy's: see `running`.
 
     Raises:
         LiveError: no ROS master answers.
@@ -103,7 +106,25 @@ def start_node(name: str, *, signals: bool = True, wait: float = 10.0) -> None:
         if time.monotonic() > until:
             raise LiveError(f"No ROS master answers at {graph.get_master_uri()}; start roscore there.")
         time.sleep(0.1)
-    ros.init_node(name, disable_signals=not signals)
+    ros.init_node(name, disable_signals=True)
+
+
+@contextmanager
+def running() -> Iterator[Callable[[], bool]]:
+    """Yield whether the node goes on, which ends with an interrupt, and end it then.
+
+    rospy's own handlers shut down at once, whatever is going on, and wait forever for a lock that a message on its way
+    out holds.
+    """
+    ended = threading.Event()
+    ends = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: ended.set()) for number in ends]
+    try:
+        yield lambda: not (ended.is_set() or rospy().is_shutdown())
+    finally:
+        rospy().signal_shutdown("The node has ended.")
+        for number, handler in zip(ends, before, strict=True):
+            signal.signal(number, handler)
 
 
 def before_the_end(call: Callable[[], None]) -> None:
@@ -150,7 +171,7 @@ def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refu
         if kind not in kinds:
             return refuse(f"{topic} is of type {kind}, but {' or '.join(kinds)} is read from it.")
         try:
-            take(store().deserialize_ros1(packed._buff, kind))
+            take(store().deserialize_ros1(_bytes(packed), kind))
         except (LongreachError, SerdeError) as error:
             refuse(f"A message on {topic} cannot be read: {error}")
 
@@ -160,6 +181,15 @@ def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refu
 def complain(sentence: str) -> None:
     """Say on the node's log what is wrong with what others send, no more than once a second."""
     rospy().logwarn_throttle(1.0, sentence)
+
+
+def _bytes(message: Any) -> bytes:
+    """Return a message packed; where others in this process listen to its topic as well, rospy has unpacked it."""
+    if hasattr(message, "_buff"):
+        return message._buff
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
 
 
 @cache
