@@ -71,28 +71,39 @@ def frames_by_tf(root, frames, joints, count):
     from tf2_msgs.msg import TFMessage
     from tf2_py import BufferCore, TransformException
 
-    Time = wire.rospy().Time
-    buffer = BufferCore(wire.rospy().Duration(30.0))
-    for topic, take in (("/tf", buffer.set_transform), ("/tf_static", buffer.set_transform_static)):
-        wire.rospy().Subscriber(
-            topic, TFMessage, lambda message, take=take: [take(transform, "test") for transform in message.transforms]
-        )
+    Time, Subscriber = wire.rospy().Time, wire.rospy().Subscriber
+    buffer, stamps = BufferCore(wire.rospy().Duration(30.0)), set()  # tf interpolates, between stamps that it was told
+
+    def take(message):
+        for transform in message.transforms:
+            buffer.set_transform(transform, "test")
+            stamps.add((transform.header.stamp.secs, transform.header.stamp.nsecs))
+
+    def take_static(message):
+        for transform in message.transforms:
+            buffer.set_transform_static(transform, "test")
+
+    subscribed = [Subscriber("/tf", TFMessage, take), Subscriber("/tf_static", TFMessage, take_static)]
     found = []
     with listening("/joint_states", "sensor_msgs/msg/JointState") as (heard, _):
 
         def look():
             for message in [message for message in heard if set(joints) <= set(message.name)]:
                 stamp = Time(message.header.stamp.sec, message.header.stamp.nanosec)
+                if (stamp.secs, stamp.nsecs) not in stamps:
+                    continue
                 try:
                     told = {frame: buffer.lookup_transform_core(root, frame, stamp).transform for frame in frames}
                 except TransformException:
                     continue
                 q = np.array([message.position[list(message.name).index(name)] for name in joints])
                 found.append((q, {frame: _numbers(transform) for frame, transform in told.items()}))
-            heard.clear()
+            del heard[:-100]
             return len(found) >= count
 
         until(look, 30.0, "tf")
+    for subscription in subscribed:
+        subscription.unregister()
     return found
 
 
