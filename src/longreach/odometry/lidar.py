@@ -118,7 +118,7 @@ def step(
     moved = _moved(state, guide)
     place = next((i for i, known in enumerate(state.references) if same_kind(scan, known.geometry)), None)
     geometry = scan_geometry(scan, state.T_base_laser, 5) if place is None else state.references[place].geometry
-    points = _points(state, scan, geometry, guide, period)
+    points = _points(state, scan, geometry, period)
     if place is None:
         reason = "the scan is the first of its kind"
         state = replace(state, told=min(state.told, scan.stamp))
@@ -164,16 +164,15 @@ def _moved(state: LidarState, guide: np.ndarray | None) -> np.ndarray:
     return se2.exp(state.motion[0])
 
 
-def _points(
-    state: LidarState, scan: LaserScan, geometry: ScanGeometry, guide: np.ndarray | None, period: float
-) -> Points:
-    """Return the points of a scan, carried to where the sweep began."""
+def _points(state: LidarState, scan: LaserScan, geometry: ScanGeometry, period: float) -> Points:
+    """Return the points of a scan, carried to where the sweep began by the mean of the last motions.
+
+    A guide does worse: wheels tell of the time before the sweep, and each step of theirs has an error of its own.
+    """
     share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
     motion = np.zeros(3)
     if share > 0.0:
-        known = guide is not None and bool(np.isfinite(guide).all())
-        motion = se2.log(guide) if known and guide is not None else state.motion[1]
-        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
+        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ state.motion[1]
     return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
 
 
