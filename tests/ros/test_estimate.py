@@ -17,17 +17,15 @@ def thing():
 
 
 def test_a_recording_played_in_comes_out_as_the_estimate_of_it(thing, launched, other):
-    recording = make_recording(thing, seed=1, duration=5.0, lidar_rate=20.0, beams=270)
+    recording = make_recording(thing, seed=1, duration=4.0, lidar_rate=20.0, beams=270)
     recording = recording.replace(wheels=recording.wheels[1:], scans=recording.scans[1:], imu=recording.imu[1:])
     with launched("estimate.launch", "options:=--no-tf"):
-        online = other(played, thing, recording, 1.5, "/odometry/settled")
-    fused = estimate(recording, thing, EstimateConfig(evaluation=EvaluationConfig(align="none"))).trajectories["fused"]
+        online = other(played, thing, recording, 2.0, "/odometry/settled")
+    config = EstimateConfig(evaluation=EvaluationConfig(align="none"))
+    fused = other(estimate, recording, thing, config).trajectories["fused"]
     settled = np.flatnonzero(fused.stamps < fused.stamps[-1] - 0.52).tolist()
-    assert len(settled) > 250
-    errors = []
+    assert len(settled) > 200
     for i in settled:
         pose, covariance = online[float(fused.stamps[i])]
         np.testing.assert_allclose(pose, fused.poses[i], atol=1e-6)
         np.testing.assert_allclose(covariance, in_frame(fused.poses[i], fused.covariance[i]), atol=1e-9)
-        errors.append(np.abs(pose - fused.poses[i]).max())
-    print(len(settled), max(errors))
