@@ -10,10 +10,13 @@ from importlib import import_module
 
 import numpy as np
 
+from longreach.control.hardware import Readings
 from longreach.io import messages
 from longreach.io.messages import PLANAR
 from longreach.io.records import planar_pose
 from longreach.ros import wire
+from longreach.ros.estimate import Estimator
+from longreach.ros.sensors import Heard
 
 
 def free_port():
@@ -121,3 +124,24 @@ def odometry(messages):
         )
         for message in messages
     }
+
+
+def portions(recording, late, tick):
+    """What is heard tick by tick, each kind so much late [s], and when."""
+    left = {kind: list(getattr(recording, kind)) for kind in late}
+    now = 0.0
+    while any(left.values()):
+        now += tick
+        new = {}
+        for kind, records in left.items():
+            count = sum(record.stamp + late[kind] <= now for record in records)
+            new[kind], left[kind] = tuple(records[:count]), records[count:]
+        fixes = new.pop("fixes", ())
+        yield Heard(Readings(now, **new), fixes), now
+
+
+def rows_heard(robot, config, recording, late, tick):
+    """The rows that settle, by stamp."""
+    estimator = Estimator(robot, config)
+    heard = portions(recording, late, tick)
+    return {row.stamp: row for portion, now in heard for row in estimator.take(portion, now)[0]}

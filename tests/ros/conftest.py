@@ -32,6 +32,13 @@ def ros(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def plain():
+    """Run a function in a process that does not check shapes at run time, which an estimate takes long with."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield lambda function, *arguments: pool.submit(function, *arguments).result(60.0)
+
+
+@pytest.fixture(scope="session")
 def other(ros):
     """Run a function in a process that is a node itself, for rospy's threads and sockets outlive its tests."""
     spawn = multiprocessing.get_context("spawn")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ros_nodes import portions, rows_heard
 
 from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import estimate
@@ -34,25 +35,6 @@ def recording(thing):
     return recording.replace(fixes=tuple(fixes))
 
 
-def portions(recording, late, tick):
-    """What is heard tick by tick, each kind so much late [s], and when."""
-    left = {kind: list(getattr(recording, kind)) for kind in late}
-    now = 0.0
-    while any(left.values()):
-        now += tick
-        new = {}
-        for kind, records in left.items():
-            count = sum(record.stamp + late[kind] <= now for record in records)
-            new[kind], left[kind] = tuple(records[:count]), records[count:]
-        fixes = new.pop("fixes", ())
-        yield Heard(Readings(now, **new), fixes), now
-
-
-def rows_of(thing, heard):
-    estimator = Estimator(thing, CONFIG)
-    return {row.stamp: row for portion, now in heard for row in estimator.take(portion, now)[0]}
-
-
 @pytest.mark.parametrize(
     ("late", "tick"),
     [
@@ -62,10 +44,10 @@ def rows_of(thing, heard):
         ({"wheels": 0.0, "scans": 0.01, "imu": 0.0, "fixes": 0.1}, 0.02),
     ],
 )
-def test_whatever_comes_when_the_settled_rows_are_those_of_the_recording(thing, recording, late, tick):
+def test_whatever_comes_when_the_settled_rows_are_those_of_the_recording(thing, recording, plain, late, tick):
     heard = recording if "fixes" in late else recording.replace(fixes=())
-    fused = estimate(heard, thing, CONFIG).trajectories["fused"]
-    rows = rows_of(thing, portions(heard, late, tick))
+    fused = plain(estimate, heard, thing, CONFIG).trajectories["fused"]
+    rows = plain(rows_heard, thing, CONFIG, heard, late, tick)
     settled = np.flatnonzero(fused.stamps < max(rows)).tolist()
     assert len(settled) > 50
     for i in settled:
