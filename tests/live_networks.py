@@ -133,5 +133,5 @@ def until(condition, timeout=5.0):
     began = time.monotonic()
     while not condition():
         assert time.monotonic() - began < timeout, "it did not come about in time"
-        time.sleep(0.002)
+        time.sleep(0.01)
     return time.monotonic() - began

@@ -6,10 +6,16 @@ import pytest
 from longreach.errors import LiveError
 from longreach.geometry import se2, se3
 from longreach.live.frames import Frames, odom_in_map
+from longreach.live.state import LiveState
 
 
 def _pose(T):
     return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+
+
+def _instant(names, q, wheels):
+    joints = dict(zip(names, q[3:].tolist(), strict=True))
+    return LiveState(1.0, q, np.zeros(9), np.zeros((3, 3)), wheels, None, None, joints, q)
 
 
 @pytest.fixture
@@ -18,7 +24,7 @@ def frames(thing, rng):
     names, filled, known = thing.joint_names[thing.arm], Frames(thing), []
     for stamp in (1.0, 2.0):
         q, wheels = rng.uniform(-1.0, 1.0, 9), rng.uniform(-1.0, 1.0, 3)
-        filled.add(stamp, names, q[3:], q[:3], wheels)
+        filled.add(stamp, lambda q=q, wheels=wheels: _instant(names, q, wheels))
         known.append((q, wheels))
     return filled, known
 
@@ -68,7 +74,7 @@ def test_what_is_not_known_is_said_in_a_sentence(thing, frames):
 def test_only_the_last_seconds_are_kept(thing):
     filled = Frames(thing, memory=1.0)
     for stamp in np.arange(0.0, 3.0, 0.25).tolist():
-        filled.add(stamp, thing.joint_names[thing.arm], np.zeros(6), np.zeros(3), np.zeros(3))
+        filled.add(stamp, lambda: _instant(thing.joint_names[thing.arm], np.zeros(9), np.zeros(3)))
     with pytest.raises(LiveError, match=r"from 1\.750"):
         filled.lookup("map", "tool", 1.0)
     assert np.allclose(se3.inverse(filled.lookup("map", "tool")) @ filled.lookup("map", "tool", 2.5), np.eye(4))

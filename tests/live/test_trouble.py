@@ -39,6 +39,7 @@ class Watched:
 
 def _braked_within_limits(thing, watched, since):
     """Whether the base came to rest as hard as it may at most, and stood still; returns when [s]."""
+    until(lambda: abs(watched.states[-1].velocity[0]) < 0.01, 2.0)
     t, speed = watched.column("stamp"), np.abs(watched.column("velocity")[:, 0])
     standing = t[(t > since) & (speed < 0.02)][0]
     hardest = thing.limits.acceleration[0]

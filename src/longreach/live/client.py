@@ -213,13 +213,15 @@ class Client:
         return self._wait_for(int(answer.split()[-1]), trajectory.duration, timeout) if wait else self.state
 
     def _wait_for(self, plan: int, duration: float, timeout: float | None) -> LiveState:
-        def over() -> LiveState | None:
-            state = self.state
-            ended = state.plan > plan or (state.plan == plan and (state.goal != "follow" or state.latched))
-            return state if ended else None
+        def over() -> bool:
+            status = self._ears.told
+            number = int(status.get("plan") or 0)
+            done = status.get("goal") != "follow" or status.get("latched") == "1"
+            return number > plan or (number == plan and done)
 
-        state = self._ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
-        if state is None:
+        ended = self._ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
+        state = self.state
+        if not ended:
             raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
         if state.plan > plan or state.progress < 1.0:
             raise LiveError(f"The plan ended early: {state.stop or 'the robot was asked for something else'}.")
@@ -263,8 +265,7 @@ class Client:
         Raises:
             LiveError: another client holds it; the sentence names it.
         """
-        self._line.order(f"take {self.name}")
-        self._line.holds = True
+        self._line.take(self.name)
         self._ears.wait(lambda: self.holds, 1.0)
 
     def _take_if_free(self) -> None:

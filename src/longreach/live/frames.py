@@ -1,7 +1,8 @@
 """Where all frames of a robot are: map → odom → base_link → the links of its URDF, by its joints."""
 
+from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from threading import Lock
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from jaxtyping import Float
 
 from longreach.errors import LiveError
 from longreach.geometry import se2, se3, so3
+from longreach.live.state import LiveState
 from longreach.robot.description import Mount
 from longreach.robot.joint import Joint
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -52,10 +54,8 @@ def _planar(pose: np.ndarray) -> np.ndarray:
     return se3.from_rotation_translation(so3.exp(np.array([0.0, 0.0, pose[2]])), np.array([pose[0], pose[1], 0.0]))
 
 
-class _Instant(NamedTuple):
-    stamp: float
-    names: tuple[str, ...]
-    positions: np.ndarray
+class _Known(NamedTuple):
+    joints: Mapping[str, float]
     pose: np.ndarray
     wheels: np.ndarray
 
@@ -66,22 +66,16 @@ class Frames:
     def __init__(self, robot: MobileManipulator, memory: float = 10.0) -> None:
         self._parents: Mapping[str, Joint] = {joint.child: joint for joint in tree(robot)}
         self._root = robot.urdf.root if robot.urdf is not None else BASE
-        self._memory, self._past, self._lock = memory, deque[_Instant](), Lock()
+        self._base = robot.base
+        self._memory, self._past, self._lock = memory, deque[tuple[float, Callable[[], LiveState]]](), Lock()
 
-    def add(
-        self,
-        stamp: float,
-        names: tuple[str, ...],
-        positions: Float[np.ndarray, " n"],
-        pose: Float[np.ndarray, "3"],
-        wheels: Float[np.ndarray, "3"],
-    ) -> None:
-        """Take note of where joints (n,), base and odometry are; what is older than the newest is passed over."""
+    def add(self, stamp: float, state: Callable[[], LiveState]) -> None:
+        """Take note of how to learn the state at a stamp [s], if anybody asks; none that is older than the newest."""
         with self._lock:
-            if self._past and stamp <= self._past[-1].stamp:
+            if self._past and stamp <= self._past[-1][0]:
                 return
-            self._past.append(_Instant(stamp, names, positions, pose, wheels))
-            while self._past[0].stamp < stamp - self._memory:
+            self._past.append((stamp, state))
+            while self._past[0][0] < stamp - self._memory:
                 self._past.popleft()
 
     def lookup(self, target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
@@ -94,36 +88,34 @@ class Frames:
         T_target, T_source = (self._in_map(frame, instant) for frame in (target, source))
         return se3.inverse(T_target) @ T_source
 
-    def _at(self, stamp: float | None) -> _Instant:
+    def _at(self, stamp: float | None) -> _Known:
         with self._lock:
             past = list(self._past)
         if not past:
             raise LiveError("The robot has not said yet where it is; wait for its first state.")
-        if stamp is None or past[-1].stamp <= stamp <= past[-1].stamp + _NEAR:
-            return past[-1]
-        if not past[0].stamp <= stamp <= past[-1].stamp:
-            raise LiveError(
-                f"Frames are known from {past[0].stamp:.3f} to {past[-1].stamp:.3f} s, not at {stamp:.3f} s."
-            )
-        i = int(np.searchsorted([instant.stamp for instant in past], stamp, side="right"))
-        before, after = past[i - 1], past[min(i, len(past) - 1)]
-        if after is before or after.names != before.names:
-            return before
-        part = (stamp - before.stamp) / (after.stamp - before.stamp)
+        first, last = past[0][0], past[-1][0]
+        if stamp is None or last <= stamp <= last + _NEAR:
+            return self._known(past[-1][1]())
+        if not first <= stamp <= last:
+            raise LiveError(f"Frames are known from {first:.3f} to {last:.3f} s, not at {stamp:.3f} s.")
+        i = bisect_right(past, stamp, key=lambda entry: entry[0])
+        (t0, before), (t1, after) = past[i - 1], past[i]
+        a, b, part = self._known(before()), self._known(after()), (stamp - t0) / (t1 - t0)
         pose, wheels = (
-            se2.retract(a, part * se2.log(se2.between(a, b)))
-            for a, b in ((before.pose, after.pose), (before.wheels, after.wheels))
+            se2.retract(x, part * se2.difference(x, y)) for x, y in ((a.pose, b.pose), (a.wheels, b.wheels))
         )
-        positions = before.positions + part * (after.positions - before.positions)
-        return _Instant(stamp, before.names, positions, pose, wheels)
+        return _Known({name: x + part * (b.joints.get(name, x) - x) for name, x in a.joints.items()}, pose, wheels)
 
-    def _in_map(self, frame: str, instant: _Instant) -> np.ndarray:
+    def _known(self, state: LiveState) -> _Known:
+        pose = state.q[self._base] if self._base.stop else np.zeros(3)
+        return _Known(state.joints, pose, state.wheels)
+
+    def _in_map(self, frame: str, instant: _Known) -> np.ndarray:
         """Return T_map_frame."""
         T = np.eye(4)
-        at = dict(zip(instant.names, instant.positions.tolist(), strict=True))
         while frame in self._parents:
             joint = self._parents[frame]
-            T = transform(joint, at.get(joint.name, 0.0)) @ T
+            T = transform(joint, instant.joints.get(joint.name, 0.0)) @ T
             frame = joint.parent
         if frame == MAP:
             return T

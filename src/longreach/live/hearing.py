@@ -1,14 +1,15 @@
 """What a client hears: messages become a `LiveState`, frames, readings; what is lost on the way is counted."""
 
 import logging
+import struct
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from queue import SimpleQueue
 from threading import Condition, Thread
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from longreach.measurement import LaserScan
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _WAITING = 10_000  # messages that are not looked at yet
+_STAMP = slice(4, 12)  # of a message with a header: where its stamp is in CDR, behind four bytes that say what it is
 _KEPT = 1000  # readings of a kind that nobody has asked for
 
 _T = TypeVar("_T")
@@ -39,12 +41,18 @@ def _call(callbacks: list[Callable[[_T], None]], value: _T) -> None:
             _LOG.exception("A callback has failed.")
 
 
+class _Said(NamedTuple):
+    """What was said at one tick, not looked at yet: payloads by their topics, and the newest status."""
+
+    payloads: Mapping[Topic, bytes]
+    status: Mapping[str, str]
+
+
 class Ears:
-    """Hears all that a robot says on a session."""
+    """Hears all that a robot says on a session, in its order; a state is put together when somebody asks for it."""
 
     def __init__(self, session: Any, robot: MobileManipulator) -> None:
-        self.robot, self.frames = robot, Frames(robot)
-        self.state: LiveState | None = None
+        self.robot, self.frames, self.topics = robot, Frames(robot), Sensed.of(robot.description)
         self.scan: LaserScan | None = None
         self.plan: ConfigurationTrajectory | None = None
         self.status: dict[str, str] = {}
@@ -55,28 +63,26 @@ class Ears:
         self.on_state: list[Callable[[LiveState], None]] = []
         self.on_scan: list[Callable[[LaserScan], None]] = []
         self._numbers: dict[bytes, int] = {}
-        self._parts: dict[Topic, Any] = {}
+        self._parts: dict[Topic, bytes] = {}
+        self._newest: _Said | None = None
+        self._known: tuple[_Said | None, LiveState | None] = None, None
         self._new: dict[str, deque[Any]] = {
             name: deque(maxlen=_KEPT) for name in ("wheels", "scans", "imu", "joints", "wrenches")
-        }
-        self._topics = topics = Sensed.of(robot.description)
-        takes = {
-            keys.ESTIMATE: partial(self._parts.__setitem__, keys.ESTIMATE),
-            keys.WHEELS_ALONE: partial(self._parts.__setitem__, keys.WHEELS_ALONE),
-            topics.truth: partial(self._parts.__setitem__, topics.truth),
-            keys.TOOL_TRUTH: partial(self._parts.__setitem__, keys.TOOL_TRUTH),
-            keys.REFERENCE: partial(self._parts.__setitem__, keys.REFERENCE),
-            keys.STATUS: self._take_status,
-            topics.arm: self._take_arm,
-            topics.scans: self._take_scan,
-            keys.PLAN: self._take_plan,
         }
         self._session, self._senses = session, False
         self._waiting: SimpleQueue[Any] = SimpleQueue()
         Thread(target=self._hear, name="hearing", daemon=True).start()
+        parts = (keys.ESTIMATE, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, self.topics.truth)
+        takes = {topic: partial(self._parts.__setitem__, topic) for topic in parts}
+        takes |= {
+            keys.STATUS: self._take_status,
+            keys.PLAN: self._take_plan,
+            self.topics.scans: self._take_scan,
+            self.topics.arm: self._take_arm,
+        }
         self._declared = [self._subscribe(topic, take) for topic, take in takes.items()]
 
-    def _subscribe(self, topic: Topic, take: Callable[[Any], None]) -> Any:
+    def _subscribe(self, topic: Topic, take: Callable[[bytes], None]) -> Any:
         arrived = partial(self._arrived, topic, take)
         return self._session.declare_subscriber(topic.key, zenoh().handlers.Callback(arrived, indirect=False))
 
@@ -84,15 +90,16 @@ class Ears:
         """Hear what wheels, IMU and wrench say, too, from now on; most clients need not."""
         if self._senses:
             return
-        self._senses, robot = True, self.robot.description
-        takes = {
-            self._topics.wheels: lambda m: self._keep("wheels", m, (records.wheels(m, robot) or (False, None))[1]),
-            self._topics.imu: lambda m: self._keep("imu", m, records.imu(m)),
-            self._topics.wrench: lambda m: self._keep("wrenches", m, records.wrench(m)),
+        self._senses, robot, topics = True, self.robot.description, self.topics
+        makes: dict[str, tuple[Topic, Callable[[Any], Any]]] = {
+            "wheels": (topics.wheels, lambda message: (records.wheels(message, robot) or (False, None))[1]),
+            "imu": (topics.imu, records.imu),
+            "wrenches": (topics.wrench, records.wrench),
         }
-        self._declared += [self._subscribe(topic, take) for topic, take in takes.items()]
+        for kind, (topic, make) in makes.items():
+            self._declared.append(self._subscribe(topic, partial(self._take_reading, kind, topic, make)))
 
-    def _arrived(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+    def _arrived(self, topic: Topic, take: Callable[[bytes], None], sample: Any) -> None:
         """Put what has arrived in the queue, in zenoh's own thread; where nobody keeps up with it, it is lost."""
         if self._waiting.qsize() < _WAITING:
             self._waiting.put((time.time_ns(), topic, take, sample))
@@ -104,94 +111,87 @@ class Ears:
             try:
                 self._take(came, topic, take, sample)
             except Exception:
-                self.malformed += 1
-                _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
+                self._cannot_use(topic)
 
-    def _take(self, came: int, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
+    def _cannot_use(self, topic: Topic) -> None:
+        self.malformed += 1
+        _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
+
+    def _take(self, came: int, topic: Topic, take: Callable[[bytes], None], sample: Any) -> None:
         """Take a message. Whatever it raises: it is none, too large, or does not say what it should."""
         if len(sample.payload) > topic.limit or sample.attachment is None:
             raise ValueError("too large, or without an attachment")
         about, _ = attached(bytes(sample.attachment))
-        take(topic.unpack(bytes(sample.payload)))
         self.delays.append(1e-9 * (came - about.sent_ns))
         before = self._numbers.get(about.sender)
         if before is not None:
             self.lost += max(about.number - before - 1, 0)
         self._numbers[about.sender] = about.number
+        take(bytes(sample.payload))
 
     def close(self) -> None:
         """Hear no more."""
         self._waiting.put(None)
 
-    def _take_status(self, message: Any) -> None:
-        one = message.status[0]
-        self.status = {item.key: item.value for item in one.values} | {"stop": one.message}
+    def _take_status(self, payload: bytes) -> None:
+        one = keys.STATUS.unpack(payload).status[0]
         with self.changed:
+            self.status = {item.key: item.value for item in one.values} | {"stop": one.message}
             self.changed.notify_all()
 
-    def _take_arm(self, message: Any) -> None:
-        """Put a state together: the arm's message is the last of its tick."""
-        stamp, robot = orders.stamp_of(message), self.robot
-        joints = dict(zip(message.name, message.position.tolist(), strict=True))
-        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
-        arm = robot.joint_names[robot.arm]
-        q = np.array([joints[name] for name in arm])
-        v = np.array([speeds.get(name, 0.0) for name in arm])
-        pose, covariance, wheels = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
-        if robot.base.stop:
-            estimate, alone = self._part(keys.ESTIMATE, stamp), self._part(keys.WHEELS_ALONE, stamp)
-            if estimate is None or alone is None:  # lost on the way, or we have just begun to listen
-                return
-            said = self._made(records.odometry(estimate), stamp)
-            pose, covariance = said.pose, said.pose_covariance
-            covariance = np.zeros((3, 3)) if covariance is None else covariance
-            wheels = self._made(records.odometry(alone), stamp).pose
-            q, v = np.concatenate([pose, q]), np.concatenate([said.twist, v])
-        truth, tool = self._part(self._topics.truth, stamp), self._part(keys.TOOL_TRUTH, stamp)
-        known = None if truth is None else records.stamped_pose(truth)
-        truth, tool = None if known is None else known[0], None if tool is None else orders.tool(tool)
-        planned, status = self._part(keys.REFERENCE, stamp), self.status
-        reference = q if planned is None else np.array(planned.position)
-        self.frames.add(stamp, tuple(message.name), np.array(message.position), pose, wheels)
-        self._keep("joints", message, records.joints(message, robot.description))
-        self._tell(LiveState(
-            stamp, q, v, covariance, wheels, truth, tool, joints, reference,
-            progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
-            goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
-            stop=status.get("stop", ""), latched=status.get("latched") == "1",
-            holder=status.get("holder", ""), refused=int(status.get("refused") or 0),
-        ))  # fmt: skip
+    def _take_plan(self, payload: bytes) -> None:
+        self.plan = orders.trajectory(keys.PLAN.unpack(payload), self.robot)
 
-    def _part(self, topic: Topic, stamp: float) -> Any:
-        """Return what was said on a topic at the same tick, or None."""
-        message = self._parts.get(topic)
-        return message if message is not None and orders.stamp_of(message) == stamp else None
+    def _take_scan(self, payload: bytes) -> None:
+        self._take_reading(
+            "scans", self.topics.scans, lambda m: records.laser_scan(m, self.robot.description.lidar), payload
+        )
+        self.scan = scan = self._new["scans"][-1]
+        _call(self.on_scan, scan)
 
-    @staticmethod
-    def _made(make: Callable[..., Any] | None, stamp: float) -> Any:
-        if make is None:
-            raise ValueError("a message that says nothing")
-        return make(stamp=stamp)
+    def _take_reading(self, kind: str, topic: Topic, make: Callable[[Any], Any], payload: bytes) -> None:
+        message = topic.unpack(payload)
+        made = make(message)
+        if made is not None:
+            self._new[kind].append(made(stamp=orders.stamp_of(message)))
 
-    def _tell(self, state: LiveState) -> None:
+    def _take_arm(self, payload: bytes) -> None:
+        """Close a tick: the arm's message is the last of it. What was lost of it makes it none."""
+        tick = {topic: part for topic, part in self._parts.items() if part[_STAMP] == payload[_STAMP]}
+        if self.robot.base.stop and not {keys.ESTIMATE, keys.WHEELS_ALONE} <= tick.keys():
+            return
+        tick[self.topics.arm] = payload
+        said = _Said(tick, self.status)
+        seconds, rest = struct.unpack("<iI", payload[_STAMP])
+        self.frames.add(seconds + 1e-9 * rest, lambda: self._made(said))
         with self.changed:
-            self.state, self.heard = state, time.monotonic()
+            self._newest, self.heard = said, time.monotonic()
             self.changed.notify_all()
-        _call(self.on_state, state)
+        if self._senses:
+            make = partial(records.joints, robot=self.robot.description)
+            self._take_reading("joints", self.topics.arm, make, payload)
+        if self.on_state and (state := self.state) is not None:
+            _call(self.on_state, state)
 
-    def _take_scan(self, message: Any) -> None:
-        make = records.laser_scan(message, self.robot.description.lidar)
-        if make is not None:
-            self.scan = scan = make(stamp=orders.stamp_of(message))
-            self._new["scans"].append(scan)
-            _call(self.on_scan, scan)
+    @property
+    def told(self) -> Mapping[str, str]:
+        """What the status said at the newest tick."""
+        return {} if self._newest is None else self._newest.status
 
-    def _take_plan(self, message: Any) -> None:
-        self.plan = orders.trajectory(message, self.robot)
+    @property
+    def state(self) -> LiveState | None:
+        """The newest state, or None before the first."""
+        said, (known, state) = self._newest, self._known
+        if said is not None and said is not known:
+            try:
+                state = self._made(said)
+            except Exception:
+                self._cannot_use(self.topics.arm)
+            self._known = said, state
+        return state
 
-    def _keep(self, kind: str, message: Any, make: Callable[..., Any] | None) -> None:
-        if make is not None:
-            self._new[kind].append(make(stamp=orders.stamp_of(message)))
+    def _made(self, said: _Said) -> LiveState:
+        return made_state(self.robot, self.topics, said.payloads, said.status)
 
     def readings(self, stamp: float) -> Readings:
         """Return what has come since the last call."""
@@ -205,3 +205,36 @@ class Ears:
             while not (found := ready()) and (left := until - time.monotonic()) > 0.0:
                 self.changed.wait(left)
             return found or None
+
+
+def made_state(
+    robot: MobileManipulator, topics: Sensed, payloads: Mapping[Topic, bytes], status: Mapping[str, str]
+) -> LiveState:
+    """Return the state that the payloads of one tick, and the newest status, make; what is wrong raises something."""
+    said = {topic: topic.unpack(payload) for topic, payload in payloads.items()}
+    arm, names = said[topics.arm], robot.joint_names[robot.arm]
+    stamp = orders.stamp_of(arm)
+    joints = dict(zip(arm.name, arm.position.tolist(), strict=True))
+    speeds = dict(zip(arm.name, arm.velocity.tolist(), strict=True))
+    q, v = (np.array([values[name] for name in names]) for values in (joints, speeds))
+    covariance, wheels = np.zeros((3, 3)), np.zeros(3)
+    if robot.base.stop:
+        make, alone = records.odometry(said[keys.ESTIMATE]), records.odometry(said[keys.WHEELS_ALONE])
+        if make is None or alone is None:
+            raise ValueError("an odometry that says nothing")
+        odometry, wheels = make(stamp=stamp), alone(stamp=stamp).pose
+        covariance = covariance if odometry.pose_covariance is None else odometry.pose_covariance
+        q, v = np.concatenate([odometry.pose, q]), np.concatenate([odometry.twist, v])
+    truth, tool, reference = (said.get(topic) for topic in (topics.truth, keys.TOOL_TRUTH, keys.REFERENCE))
+    known = None if truth is None else records.stamped_pose(truth)
+    return LiveState(
+        stamp, q, v, covariance, wheels,
+        truth=None if known is None else known[0],
+        tool_truth=None if tool is None else orders.tool(tool),
+        joints=joints,
+        reference=q if reference is None else np.array(reference.position),
+        progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
+        goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
+        stop=status.get("stop", ""), latched=status.get("latched") == "1",
+        holder=status.get("holder", ""), refused=int(status.get("refused") or 0),
+    )  # fmt: skip

@@ -3,6 +3,7 @@
 import secrets
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
@@ -14,7 +15,7 @@ from longreach.live.keys import TYPES, Topic
 from longreach.live.link import authentication, open_client
 
 _ANSWER = 2.0  # for how long an answer is waited for [s]
-_BEAT = 0.04  # between two signs of life of a client that holds the robot [s]
+_BEAT = 0.02  # between two signs of life of a client that holds the robot [s]
 _PINGS, _PING_EVERY = 20, 1.0  # of how many the fastest tells the offset of the clocks; from one to the next [s]
 
 
@@ -62,8 +63,8 @@ class Line:
         with self._lock:  # so that numbers arrive in their order
             self.session.put(topic.key, payload, attachment=self._signed(topic, payload), express=True)
 
-    def ask(self, topic: Topic, message: Any) -> str:
-        """Send a message and return its answer.
+    def ask(self, topic: Topic, message: Any, sent: Callable[[], None] = lambda: None) -> str:
+        """Send a message and return its answer; `sent` is called as soon as it is on its way.
 
         Raises:
             LiveError: there is no answer, or the robot refuses.
@@ -72,6 +73,7 @@ class Line:
         with self._lock:
             attachment = self._signed(topic, payload)
             replies = self.session.get(topic.key, payload=payload, attachment=attachment, timeout=_ANSWER)
+        sent()
         for reply in replies:
             if reply.ok is None or len(reply.ok.payload) > keys.ORDER.limit:
                 continue
@@ -80,6 +82,18 @@ class Line:
                 raise LiveError(answer.removeprefix("refused: "))
             return answer
         raise LiveError(f"The robot has not answered within {_ANSWER:g} s; look whether it is still there.")
+
+    def take(self, name: str) -> None:
+        """Ask for the robot, and give signs of life from then on: the answer may be long under way.
+
+        Raises:
+            LiveError: another client holds it.
+        """
+        try:
+            self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), lambda: setattr(self, "holds", True))
+        except LiveError:
+            self.holds = False
+            raise
 
     def order(self, words: str) -> str:
         """Ask for what a few words say."""
