@@ -88,6 +88,8 @@ def wheels_message(robot, types, stamp, record):
 def play(robot, recording, speed, ready):
     """Send a recording's messages at their times, faster by a factor, as soon as all listen and it is ready."""
     types = wire.message_types()
+    static = wire.Publisher("/tf_static", "tf2_msgs/msg/TFMessage", latch=True)
+    static.send(messages.transforms(types, recording.wheels[0].stamp, recording.mounts))
     kinds = {
         "wheels": ("/joint_states", "sensor_msgs/msg/JointState", lambda *args: wheels_message(robot, *args)),
         "scans": ("/front/scan", "sensor_msgs/msg/LaserScan", messages.laser_scan),

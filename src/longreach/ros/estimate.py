@@ -25,7 +25,7 @@ from longreach.measurement import LaserScan, Odometry
 from longreach.robot.description import RobotDescription
 from longreach.ros import wire
 from longreach.ros.diagnostics import Diagnostics
-from longreach.ros.frames import Broadcaster, planar
+from longreach.ros.frames import Broadcaster, Mounts, planar
 from longreach.ros.sensors import Heard, Role, Sensors
 
 _SOURCES: tuple[Role, ...] = ("wheels", "lidar", "imu", "fixes")
@@ -56,7 +56,9 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
     config = config or NodeConfig()
     wire.start_node("longreach_estimate")
     sensors = Sensors(robot, config.estimate.sources or _SOURCES)
-    estimator, out, health = Estimator(robot, config.estimate), _Outputs(config), Diagnostics(sensors)
+    unplaced = any(sensor is None or sensor.mount is None for sensor in (robot.lidar, robot.imu))
+    estimator = Estimator(robot, config.estimate, Mounts() if unplaced else None)
+    out, health = _Outputs(config), Diagnostics(sensors)
     with wire.running() as goes_on:
         while goes_on():
             time.sleep(1.0 / config.rate)
@@ -71,9 +73,9 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
 class Estimator:
     """The estimate of what is heard, portion by portion; `where`: its state, None before it has begun."""
 
-    def __init__(self, robot: RobotDescription, config: EstimateConfig) -> None:
+    def __init__(self, robot: RobotDescription, config: EstimateConfig, mounts: Mounts | None = None) -> None:
         self.where: LocalizerState | None = None
-        self._robot, self._config = robot, config
+        self._robot, self._config, self._mounts = robot, config, mounts
         self._kept: list[Heard] = []
         self._began = 0.0
         self._held: list[tuple[float, LaserScan]] = []  # and when it came
@@ -89,7 +91,10 @@ class Estimator:
             if not self._kept or now - self._began < _BEFORE:
                 return [], []
             heard, self._kept = _merged(self._kept), []
-            self.where = begin(self._robot, self._config, heard)
+            robot, readings = self._robot, heard.readings
+            if self._mounts is not None:
+                robot = self._mounts.described(robot, readings.scans, readings.imu)
+            self.where = begin(robot, self._config, heard)
         rows: list[Row] = []
         corrections: list[Correction] = []
         for piece in _pieces(heard):
