@@ -26,7 +26,7 @@ class Served:
     """`longreach serve` with a simulated Thing, without scans."""
 
     def __init__(self, folder, *options, protocol="tcp"):
-        self.port = free_port()
+        self.port, self.fresh = free_port(), True  # fresh: nobody has asked it for anything
         self.address = f"127.0.0.1:{self.port}"
         self.log = Path(folder) / f"server-{self.port}.log"
         command = ["serve", "--hardware", "kinematic", "--no-scans", "--address", self.address, *options]

@@ -49,6 +49,8 @@ def to():
 
     def client(served, token=None, **more):
         clients.append(connect(getattr(served, "address", served), token, **more))
+        if isinstance(served, Served):
+            served.fresh = False
         return clients[-1]
 
     yield client

@@ -13,6 +13,8 @@ from longreach.app.robot_side import Orders
 from longreach.cli.main import main
 from longreach.control.hardware import Hardware
 from longreach.errors import LiveError, PlanningError
+from longreach.live import keys
+from longreach.live.link import open_client
 from longreach.live.serving import simulated, tracker_config
 
 
@@ -23,6 +25,27 @@ def client(served, to):
 
 def _at(client):
     return client.robot.forward(client.state.q)
+
+
+@pytest.mark.long
+def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, served, to, thing):
+    if not served.fresh:  # the test needs a robot that has stood since it was switched on
+        served = serve().ready()
+    client, states = to(served), []
+    goal = client.state.q + np.array([0.2, 0.05, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    client.on_state(states.append)
+    client.move_to(goal)
+    plan, body, alone = client.plan_running, simulated("kinematic", thing, "laboratory", 0, scans=False), {}
+    states = tuple(states)
+    began = next(state.stamp for state in states if state.goal == "follow")
+    robot_side.run(
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3),
+        lambda now: Orders(goal=Follow(plan, -0.3) if abs(now - began) < 1e-6 else None),
+        lambda moment: alone.__setitem__(round(moment.tick.stamp, 6), moment.tick),
+        lambda: "over" if body.stamp > states[-1].stamp else "", tracker_config(body, thing, scans=False),
+    )  # fmt: skip
+    assert all(np.allclose(s.q, alone[round(s.stamp, 6)].q, atol=1e-6) for s in states)
+    assert np.allclose(states[-1].q, goal, atol=5e-3)
 
 
 def test_a_client_has_the_face_of_hardware_and_hears_125_states_a_second(client):
@@ -40,8 +63,8 @@ def test_a_client_has_the_face_of_hardware_and_hears_125_states_a_second(client)
     assert state.truth is not None
     assert np.allclose(state.q[:3], state.truth, atol=0.01)
     readings = client.read()
-    assert len(readings.joints) > 20
-    assert len(readings.wheels) > 8
+    assert len(readings.joints) > 5
+    assert len(readings.wheels) > 2
 
 
 def test_the_clocks_are_compared(client):
@@ -65,25 +88,6 @@ def test_velocities_move_base_and_arm_and_end_by_themselves(client):
     moved = client.state.q - before
     assert moved[0] > 0.05
     assert moved[3] > 0.03
-
-
-def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, to, thing):
-    served = serve("--seed", 5).ready()
-    client, states = to(served), []
-    goal = client.state.q + np.array([0.2, 0.05, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
-    client.on_state(states.append)
-    client.move_to(goal)
-    served.end()
-    plan, body, alone = client.plan_running, simulated("kinematic", thing, "laboratory", 5, scans=False), {}
-    began = next(state.stamp for state in states if state.goal == "follow")
-    robot_side.run(
-        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3),
-        lambda now: Orders(goal=Follow(plan, -0.3) if abs(now - began) < 1e-6 else None),
-        lambda moment: alone.__setitem__(round(moment.tick.stamp, 6), moment.tick),
-        lambda: "over" if body.stamp > states[-1].stamp else "", tracker_config(body, thing, scans=False),
-    )  # fmt: skip
-    assert all(np.allclose(s.q, alone[round(s.stamp, 6)].q, atol=1e-6) for s in states)
-    assert np.allclose(states[-1].q, goal, atol=5e-3)
 
 
 def test_a_pose_of_the_tool_is_planned_and_reached(client):
@@ -165,6 +169,16 @@ def test_the_command_line_connects_too(served, capsys):
         main(["connect", served.address, "--velocity", "1,2"])
     assert ended.value.code == 2
     assert "--velocity takes 3 numbers" in capsys.readouterr().err
+
+
+def test_the_topics_stand_in_the_graph_of_ros_2(served):
+    session = open_client(served.address, None, None, 2.0)
+    tokens = {str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/0/**", timeout=2.0) if reply.ok}
+    assert any(token.endswith("/0/NN/%/%/longreach") for token in tokens)
+    _, type, hash = keys.ESTIMATE.key.rsplit("/", 2)
+    end = f"/MP/%/%/longreach/%odometry%filtered/{type}/{hash}/::,:,:,:,,"
+    assert len([token for token in tokens if token.endswith(end)]) == 1
+    session.close()
 
 
 def test_nobody_there_is_a_sentence():

@@ -18,6 +18,7 @@ from longreach.live.keys import TYPES, Sensed, Topic
 from longreach.live.link import open_server, zenoh
 from longreach.live.listener import Listener
 from longreach.live.recorder import Recorder
+from longreach.live.ros_graph import announced
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
 
@@ -87,6 +88,8 @@ class Server:
             self._session.declare_queryable(topic.key, partial(self._tell, topic, say))
             for topic, say in lasting.items()
         ]
+
+        self._declared += announced(self._session, streams)
 
     @property
     def now(self) -> float:
