@@ -27,6 +27,7 @@ from longreach.ros.trajectory_action import TrajectoryAction
 from longreach.sim.simulated import Simulated
 
 _BEHIND = 0.03  # [s] that a slow machine makes good; beyond that the robot's clock is set anew
+_EARLY = 0.002  # [s] that it may be ahead: less than any reading takes to arrive
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -68,7 +69,6 @@ def run(robot: MobileManipulator, simulation: Simulated, config: RobotConfig | N
             due += period
             wait = due - time.monotonic()
             if wait < -_BEHIND:
-                node.late(-wait)
                 due -= wait
             time.sleep(max(wait, 0.0))
             simulation.advance(period)
@@ -81,7 +81,7 @@ class _Node:
 
     def __init__(self, robot: MobileManipulator, simulation: Simulated, config: RobotConfig) -> None:
         self._robot, self._simulation, self._config = robot, simulation, config
-        self._offset = round(wire.now() - simulation.stamp, 3)
+        self._offset = wire.now() - simulation.stamp  # from its clock to ROS' [s]
         promises = simulation.promises
         self._names = promises.arm_names
         self._gate: SafetyState = safety.init(limits_of(promises, config.safety), simulation.stamp)
@@ -92,14 +92,13 @@ class _Node:
         self._arm: _Arm | None = None
         self._behind, self._pressed = 0.0, False
 
-    def late(self, seconds: float) -> None:
-        """Set the robot's clock anew, by so much [s]."""
-        self._offset += seconds
-        self._behind += seconds
-
     def tick(self) -> None:
         """Read, tell, guard, write."""
         now = self._simulation.stamp
+        lag = wire.now() - now - self._offset
+        if not -_EARLY <= lag <= _BEHIND:
+            self._offset += lag
+            self._behind += max(lag, 0.0)
         pressed = self._commands.stop_pressed
         readings = replace(self._simulation.read(), emergency_stop=pressed)
         self._topics.send(readings, self._offset)
