@@ -27,7 +27,7 @@ from longreach.evaluation.execution import tool_metrics
 from longreach.live.serving import simulated, tracker_config
 
 _WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
-_ADDRESS = "127.0.0.1:17447"
+_ADDRESS = f"127.0.0.1:{20000 + os.getpid() % 20000}"
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 

@@ -30,7 +30,7 @@ from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
-_PATIENCE = 5.0  # beyond the time that a plan takes [s]
+_PATIENCE = 5.0  # with a plan that does not get on [s]
 
 
 def connect(
@@ -210,19 +210,22 @@ class Client:
         """
         self._take_if_free()
         answer = self._line.ask(keys.EXECUTE, messages.joint_trajectory(TYPES, self._line.now, trajectory))
-        return self._wait_for(int(answer.split()[-1]), trajectory.duration, timeout) if wait else self.state
+        return self._wait_for(int(answer.split()[-1]), timeout) if wait else self.state
 
-    def _wait_for(self, plan: int, duration: float, timeout: float | None) -> LiveState:
+    def _wait_for(self, plan: int, timeout: float | None) -> LiveState:
+        ears = self._ears
+
         def over() -> bool:
-            status = self._ears.told
-            number = int(status.get("plan") or 0)
-            done = status.get("goal") != "follow" or status.get("latched") == "1"
+            number = int(ears.told.get("plan") or 0)
+            done = ears.told.get("goal") != "follow" or ears.told.get("latched") == "1"
             return number > plan or (number == plan and done)
 
-        ended = self._ears.wait(over, duration + _PATIENCE if timeout is None else timeout)
+        before = None
+        while not ears.wait(over, _PATIENCE if timeout is None else timeout):
+            if timeout is not None or ears.told.get("progress") == before:
+                raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
+            before = ears.told.get("progress")  # a simulation may be slow, a robot wait for its client
         state = self.state
-        if not ended:
-            raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
         if state.plan > plan or state.progress < 1.0:
             raise LiveError(f"The plan ended early: {state.stop or 'the robot was asked for something else'}.")
         return state
