@@ -24,7 +24,7 @@ from longreach.odometry.scan_geometry import (
 from longreach.odometry.scan_match import ScanMatch
 
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
-_FRESH = 0.3  # weight of the last twist in the running mean
+_LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
 _DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
 _LEAST_SUPPORT = 0.1  # share of points that agree below which there is no match
 _LOST = 2  # scans without a match, after which the next one becomes a keyframe
@@ -83,7 +83,7 @@ class Reference:
 class LidarState:
     """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean.
 
-    told: when a scan last told all directions, or the first one was.
+    told: when a scan last told all directions, or the first one was. guided: the mean of what guides told (3,).
     """
 
     config: LidarConfig
@@ -92,6 +92,7 @@ class LidarState:
     stamp: float = -math.inf
     told: float = math.inf
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
+    guided: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
 
 def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
@@ -115,16 +116,20 @@ def step(
         reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
     period = scan.stamp - state.stamp
+    if guide is not None and not np.isfinite(guide).all():
+        guide = None
     moved = _moved(state, guide)
     place = next((i for i, known in enumerate(state.references) if same_kind(scan, known.geometry)), None)
     geometry = scan_geometry(scan, state.T_base_laser, 5) if place is None else state.references[place].geometry
-    points = _points(state, scan, geometry, period)
+    points = _points(state, scan, geometry, guide, period)
     if place is None:
         reason = "the scan is the first of its kind"
         state = replace(state, told=min(state.told, scan.stamp))
         return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
             scan.stamp, None, reason, 0, keyframe=True
         )
+    if guide is not None:
+        state = replace(state, guided=_mean(state.guided, se2.log(guide), period))
     found = _best_fit(state, state.references[place], points, moved, scan.stamp)
     reason = _wrong(found, points)
     if reason:
@@ -159,20 +164,28 @@ def _moved(state: LidarState, guide: np.ndarray | None) -> np.ndarray:
 
     Without a guide as far as last time: the stamps of a logger may be less regular than the scans are.
     """
-    if guide is not None and np.isfinite(guide).all():
-        return guide
-    return se2.exp(state.motion[0])
+    return se2.exp(state.motion[0]) if guide is None else guide
 
 
-def _points(state: LidarState, scan: LaserScan, geometry: ScanGeometry, period: float) -> Points:
+def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
+    """Return the running mean (3,) of motions with one more of them, that took a period [s]."""
+    return mean + -math.expm1(-period / _LASTING) * (last - mean)
+
+
+def _points(
+    state: LidarState, scan: LaserScan, geometry: ScanGeometry, guide: np.ndarray | None, period: float
+) -> Points:
     """Return the points of a scan, carried to where the sweep began by the mean of the last motions.
 
-    A guide does worse: wheels tell of the time before the sweep, and each step of theirs has an error of its own.
+    A guide tells how that changes; what it says itself does worse, for wheels have errors of their own.
     """
     share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
     motion = np.zeros(3)
     if share > 0.0:
-        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ state.motion[1]
+        motion = state.motion[1]
+        if guide is not None:
+            motion = motion + _mean(state.guided, se2.log(guide), period) - state.guided
+        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
     return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
 
 
@@ -236,7 +249,7 @@ def _matched(
         or (len(found.directions) and config.speed * (scan.stamp - reference.stamp) > 2.0 * config.distance)
     )
     last = se2.log(moved)
-    motion = np.array([last, state.motion[1] + _FRESH * (last - state.motion[1])])
+    motion = np.array([last, _mean(state.motion[1], last, scan.stamp - state.stamp)])
     told = state.told if len(found.directions) else scan.stamp
     if keyframe:
         references = _restarted(state, scan, reference.geometry, points, moved, place).references
@@ -247,7 +260,7 @@ def _matched(
             else replace(known, pose=se2.compose(known.pose, moved))
             for i, known in enumerate(state.references)
         )
-    state = LidarState(config, state.T_base_laser, references, scan.stamp, told, motion)
+    state = LidarState(config, state.T_base_laser, references, scan.stamp, told, motion, state.guided)
     match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
     return state, match
 
