@@ -1,0 +1,66 @@
+"""longreach view: a run, or a robot over the network, in the browser."""
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    recording: Path | None = typer.Argument(None, help="A folder of run or estimate, or a recording."),
+    robot: str | None = typer.Option(None, help="A shipped description or a YAML file (default: the run's own)."),
+    estimate: Path | None = typer.Option(None, help="The folder that longreach estimate has written about it."),
+    port: int = typer.Option(8080, help="Where the page is served, on this machine alone."),
+    export: Path | None = typer.Option(None, help="Write the scene as one HTML file, and serve nothing."),
+    connect: str | None = typer.Option(None, help="Watch and command the robot that is served at host:port."),
+    token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="The server's secret."),
+    certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
+    duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
+) -> None:
+    """Show a recorded run, or a robot over the network, in the browser."""
+    from longreach.errors import ConfigError
+
+    if (recording is None) == (connect is None):
+        raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
+    if recording is not None:
+        _show_recording(recording, robot, estimate, port, export, duration)
+    elif connect is not None:
+        _show_robot(connect, token, certificates, port, duration)
+
+
+def _show_recording(
+    recording: Path, robot: str | None, estimate: Path | None, port: int, export: Path | None, duration: float | None
+) -> None:
+    from longreach.view.page import open_page
+    from longreach.view.player import Player
+    from longreach.view.replay import read_run
+
+    typer.echo(f"Reading {recording} …")
+    run = read_run(recording, robot, estimate)
+    if export is not None:
+        from longreach.view.export import page_html
+
+        export.write_text(page_html(run), encoding="utf-8")
+        typer.echo(f"The scene is in {export}; open it in a browser.")
+        return
+    server = open_page(port=port)
+    player = Player(server, run)
+    player.play()
+    _serve(server, player.loop, duration)
+
+
+def _serve(server: object, loop: object, duration: float | None) -> None:
+    """Say where the page is, and let it run until the time is over or somebody interrupts."""
+    import threading
+    from typing import Any, cast
+
+    page, work = cast(Any, server), cast(Any, loop)
+    until = threading.Event()
+    if duration is not None:
+        timer = threading.Timer(duration, until.set)
+        timer.daemon = True
+        timer.start()
+    typer.echo(f"Open http://127.0.0.1:{page.get_port()} in a browser; Ctrl+C ends it.")
+    try:
+        work(until)
+    finally:
+        page.stop()
