@@ -22,6 +22,7 @@ def command(
     duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
+    import gc
     import logging
     import sys
 
@@ -41,6 +42,8 @@ def command(
         progress("rehearsing", 0.0)
         rehearse(loaded)
     body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
+    gc.collect()
+    gc.freeze()  # what is there now stays: it need not be looked at again and again
     sys.setswitchinterval(5e-4)  # the loop's thread does not wait long for the network's
 
     with counted(refusals):

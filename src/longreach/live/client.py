@@ -69,7 +69,8 @@ class Client:
     def __init__(self, line: Line, name: str) -> None:
         self._line, self.name = line, name
         self._robot = heard_description(line)
-        self._ears = Ears(line.session, self._robot)
+        self._ears = ears = Ears(line.session, self._robot)
+        line.confirmed = lambda: ears.status.get("holder_id") == line.sender.hex()
         plan = line.lasting(keys.PLAN)
         if plan is not None:
             self._ears.plan = orders.trajectory(plan, self._robot)
@@ -124,8 +125,7 @@ class Client:
     @property
     def holds(self) -> bool:
         """Whether this client holds the robot, so that its commands count."""
-        mine = self._ears.status.get("holder_id", "") == self._line.sender.hex()
-        return self._line.holds and mine
+        return self._line.holds and self._line.confirmed()
 
     def on_state(self, callback: Callable[[LiveState], None]) -> Callable[[], None]:
         """Call back with each new state, from the network's thread: be quick there. Returns what ends it."""

@@ -16,6 +16,7 @@ from longreach.live.link import authentication, open_client
 
 _ANSWER = 2.0  # for how long an answer is waited for [s]
 _BEAT = 0.02  # between two signs of life of a client that holds the robot [s]
+_DOUBT = 2.0  # for how long we believe that we hold the robot where it does not say so [s]
 _PINGS, _PING_EVERY = 20, 1.0  # of how many the fastest tells the offset of the clocks; from one to the next [s]
 
 
@@ -27,7 +28,8 @@ class Line:
         self.sender, self._token, self._nonce, self._number = secrets.token_bytes(16), token, b"", 0
         self._lock, self._closed = Lock(), Event()
         self._pings: deque[tuple[float, float]] = deque(maxlen=_PINGS)  # how long each took, and the offset [s]
-        self.holds = False
+        self.holds, self._sure = False, 0.0  # when the robot said last that we do, by time.monotonic() [s]
+        self.confirmed: Callable[[], bool] = lambda: False
         self._threads = [Thread(target=run, daemon=True) for run in (self._beat, self._compare_clocks)]
 
     def start(self) -> None:
@@ -89,8 +91,13 @@ class Line:
         Raises:
             LiveError: another client holds it.
         """
+
+        def sent() -> None:
+            self._sure = time.monotonic()
+            self.holds = True
+
         try:
-            self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), lambda: setattr(self, "holds", True))
+            self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), sent)
         except LiveError:
             self.holds = False
             raise
@@ -122,7 +129,13 @@ class Line:
             self._quietly(self.ping)
 
     def _beat(self) -> None:
+        """Give signs of life while we hold the robot, and see when it has been given to somebody else, or to nobody."""
         while not self._closed.wait(_BEAT):
+            now = time.monotonic()
+            if self.confirmed():
+                self._sure = now
+            if self.holds and now - self._sure > _DOUBT:
+                self.holds = False
             if self.holds:
                 self._quietly(lambda: self.send(keys.HEARTBEAT, messages.header(TYPES, self.now, "")))
 

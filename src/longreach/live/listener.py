@@ -87,17 +87,25 @@ class Listener:
             sender, message = self._door.admit(topic, sample)
             self._check_holder(sender)
             take(message)
-        except (Refused, LongreachError) as refusal:
-            self._door.refusals.count(str(refusal), topic.name)
+        except Exception as refusal:
+            self._refuse(refusal, topic)
+
+    def _refuse(self, refusal: Exception, topic: Topic) -> str:
+        """Count a refusal and return its reason; what nobody has thought of is one, too, for it came from outside."""
+        expected = isinstance(refusal, Refused | LongreachError)
+        reason = str(refusal) if expected else "not usable"
+        if not expected:
+            _LOG.debug("A message on %s has raised %r.", topic.name, refusal)
+        self._door.refusals.count(reason, topic.name)
+        return reason
 
     def _answer(self, topic: Topic, do: Callable[[bytes, Any], str], query: Any) -> None:
         """Do what a query asks for, and answer with a std_msgs/String: what was refused and why, or nothing."""
         with query:
             try:
                 answer = do(*self._door.admit(topic, query))
-            except (Refused, LongreachError) as refusal:
-                self._door.refusals.count(str(refusal), topic.name)
-                answer = f"refused: {refusal}"
+            except Exception as refusal:
+                answer = f"refused: {self._refuse(refusal, topic)}"
             query.reply(topic.key, keys.ORDER.pack(TYPES["std_msgs/msg/String"](answer)))
 
     def _check_holder(self, sender: bytes) -> None:
