@@ -121,7 +121,7 @@ def _add_shape(scene: Any, name: str, shape: Shape, colour: tuple[int, int, int]
     if shape.kind == "mesh":
         return  # a primitive shape beside it is what collides
     if colour is None:
-        colour = tuple(int(round(255 * c)) for c in (shape.colour or _PLAIN)[:3])  # type: ignore[assignment]
+        colour = tuple(round(255 * c) for c in (shape.colour or _PLAIN)[:3])  # type: ignore[assignment]
     solid = opacity >= 1.0
     look = {"color": colour, "opacity": _opaque(opacity), "cast_shadow": solid, "receive_shadow": solid}
     if shape.kind == "box":

@@ -37,7 +37,8 @@ def plots(
     if covariance is not None:
         sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
         found.append(plot("Standard deviation of the base [mm]", [
-            Curve("along", style.BLUE, 1e3 * sigma[:, 0]), Curve("across", style.ORANGE, 1e3 * sigma[:, 1])]))  # fmt: skip
+            Curve("along", style.BLUE, 1e3 * sigma[:, 0]),
+            Curve("across", style.ORANGE, 1e3 * sigma[:, 1])]))  # fmt: skip
         heading = [Curve("heading", style.BLUE, np.degrees(sigma[:, 2]))]
         found.append(plot("Standard deviation of the heading [°]", heading))
     if velocities is not None:

@@ -44,10 +44,7 @@ def read_run(path: Path, robot: str | Path | None = None, estimated: Path | None
     folder, file = _where(path, estimated)
     machine = load_robot(robot) if robot is not None else _robot_of(folder)
     recording = read_recording(file, machine)
-    if folder is not None:
-        trajectories = _trajectories(folder)
-    else:
-        trajectories = dict(estimate(recording, machine).trajectories)
+    trajectories = _trajectories(folder) if folder is not None else dict(estimate(recording, machine).trajectories)
     tool_truth = _tool(folder, "tool_truth")
     if tool_truth is None:
         _carry_truth(trajectories)

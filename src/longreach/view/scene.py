@@ -3,6 +3,7 @@
 Colours are those of the figures (Okabe & Ito 2008): blue the estimate, orange the wheels alone, black the truth.
 """
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -126,7 +127,7 @@ class Scene:
     ) -> Iterator[tuple[float, Any]]:
         """Draw a line in pieces; yield each one's time [s] and node, for `Growing`."""
         edges = np.unique(np.linspace(0, len(points) - 1, _PIECES + 1).astype(int))
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for start, stop in itertools.pairwise(edges):
             yield float(times[stop]), self.add_path(f"{name}/{start}", points[start : stop + 1], colour)
 
     def add_growing_map(self, times: np.ndarray, points: Float[np.ndarray, "m 2"]) -> Iterator[tuple[float, Any]]:

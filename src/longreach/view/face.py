@@ -1,0 +1,69 @@
+"""What a page asks of a client: the part of `longreach.connect`'s face that it uses."""
+
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.configuration import ConfigurationTrajectory
+from longreach.reference import Reference
+from longreach.robot.mobile_manipulator import MobileManipulator
+
+Method = Literal["task-priority", "sqp"]
+
+
+class Commanded(Protocol):
+    """A robot to watch and to command. `state` has what `longreach.live.state.LiveState` has."""
+
+    @property
+    def robot(self) -> MobileManipulator:
+        """The robot."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """The newest state."""
+        ...
+
+    @property
+    def scan(self) -> Any:
+        """The newest scan, or None."""
+        ...
+
+    @property
+    def age(self) -> float:
+        """How old the newest state is [s]."""
+        ...
+
+    def on_state(self, callback: Callable[[Any], None]) -> Callable[[], None]:
+        """Call back with each new state; returns what ends it."""
+        ...
+
+    def plan(self, goal: Reference | Float[np.ndarray, "4 4"], method: Method) -> ConfigurationTrajectory:
+        """Plan along a reference, or to a pose of the tool; nothing moves."""
+        ...
+
+    def execute(self, trajectory: ConfigurationTrajectory, wait: bool) -> Any:
+        """Follow a plan."""
+        ...
+
+    def reach(self, T_map_tool: Float[np.ndarray, "4 4"]) -> None:
+        """Pull the tool to a pose at once."""
+        ...
+
+    def velocity(self, arm: Float[np.ndarray, " m"] | None = None, base: Float[np.ndarray, "3"] | None = None) -> None:
+        """Drive."""
+        ...
+
+    def hold(self) -> None:
+        """Stand."""
+        ...
+
+    def stop(self) -> None:
+        """Brake, and stay so until `reset`."""
+        ...
+
+    def reset(self) -> None:
+        """Move again after a stop."""
+        ...
