@@ -164,6 +164,31 @@ def followed(robot, twist, seconds):
     return way_thought, way, frame, {status.name for message in told for status in message.status}
 
 
+def stopped(robot, twist):
+    """Drive, press the stop, and let it go: how fast the base is in each [m/s], and whether we heard of the stop."""
+    hardware, told = connect_ros(robot), []
+    button, types = wire.Publisher("/emergency_stop", "std_msgs/msg/Bool"), wire.message_types()
+    until(lambda: button.listeners > 1, 10.0, "who listens to the stop")
+    speeds = []
+    with listening("/truth", "geometry_msgs/msg/PoseStamped") as (truth, _):
+        for pressed in (False, True, False):
+            button.send(types["std_msgs/msg/Bool"](pressed))
+            begin = hardware.read().stamp
+            for i in range(60):
+                hardware.wait_until(begin + 0.02 * i)
+                told.append(hardware.read().emergency_stop)
+                hardware.write(Command(begin + 0.02 * i, base=np.array(twist)))
+            a, b = truth[-11], truth[-1]
+            way = np.linalg.norm((_place(b) - _place(a))[:2])
+            speeds.append(way / (_seconds(b.header.stamp) - _seconds(a.header.stamp)))
+    hardware.close()
+    return *speeds, any(told) and not told[-1]
+
+
+def _seconds(stamp):
+    return (stamp.sec * 10**9 + stamp.nanosec) / 10**9
+
+
 def _thought(message):
     (estimate,) = odometry([message]).values()
     return estimate[0]

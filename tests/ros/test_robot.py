@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_clients import action_goals, driven, followed, frames_by_tf, joint_positions
+from ros_clients import action_goals, driven, followed, frames_by_tf, joint_positions, stopped
 
 from longreach.geometry import se3, so3
 from longreach.io.robots import load_robot
@@ -67,6 +67,14 @@ def test_our_hardware_drives_base_and_arm_and_lets_go(thing, robot, other, arm):
     assert counts["wheels"] > 35
     assert counts["scans"] > 25
     assert counts["imu"] > 70
+
+
+def test_the_stop_brakes_everything_and_lets_go_when_it_is_let_go(thing, robot, other):
+    moving, pressed, after, told = other(stopped, thing, [0.2, 0.0, 0.0])
+    assert moving > 0.1
+    assert abs(pressed) < 0.01
+    assert after > 0.1
+    assert told
 
 
 def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing, robot, other, needs):

@@ -164,9 +164,13 @@ class RosHardware:
                     self._stand()
 
     def _stand(self) -> None:
-        moves = self._arm is not None and "velocity" in self._promises.arm_modes
-        self._send(np.zeros(3), np.zeros(len(self._promises.arm_names)) if moves else None, "velocity")
-        self._written = None
+        """Let base and arm stand; positions hold by themselves, and a trajectory without points is ros_control's stop."""
+        numbers = np.zeros(len(self._promises.arm_names)) if self._interface == "velocity" else None
+        self._send(np.zeros(3), numbers, "velocity")
+        if self._interface == "trajectory" and self._arm is not None:
+            types = wire.message_types()
+            self._arm.send(types[_TRAJECTORY](messages.header(types, 0.0, ""), list(self._promises.arm_names), []))
+        self._written = self._aim = None
 
     def _send(self, base: np.ndarray | None, arm: np.ndarray | None, mode: ArmMode) -> None:
         types = wire.message_types()
