@@ -151,6 +151,9 @@ def dual_trajectory(length, seeds):
         both.append((tool_error(thing, states), in_one_process(thing, plan, settings.world, seed, began)))
         at_once = tool_metrics(execute(thing, plan, settings).traces)["tool_error"]["value"]
         mm = 1e3 * np.array([*both[-1], at_once])
+        stopped = sum(bool(state.stop) for state in states)
+        if stopped:
+            print(f"the client was late and the robot waited for {stopped} ticks: compare on a machine with less to do")
         print("seed {}: {:.3f} mm through the network, {:.3f} in one process, {:.3f} at once".format(seed, *mm))
     through, alone = np.sqrt(np.mean(np.square(both), axis=0))
     print(f"ratio {through / alone:.3f} (bar: within 10 %)")
