@@ -164,7 +164,7 @@ class RosHardware:
                     self._stand()
 
     def _stand(self) -> None:
-        """Let base and arm stand; positions hold by themselves, and a trajectory without points is ros_control's stop."""
+        """Let base and arm stand; positions hold by themselves, a trajectory without points is ros_control's stop."""
         numbers = np.zeros(len(self._promises.arm_names)) if self._interface == "velocity" else None
         self._send(np.zeros(3), numbers, "velocity")
         if self._interface == "trajectory" and self._arm is not None:

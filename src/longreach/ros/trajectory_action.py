@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from longreach.control import joint_trajectory
 from longreach.control.hardware import Promises
+from longreach.control.interpolation import sample
 from longreach.control.joint_trajectory import JointInput, JointOutput, JointTrajectoryConfig, JointTrajectoryState
 from longreach.io import messages
 from longreach.ros import wire
@@ -108,7 +109,8 @@ class TrajectoryAction:
         try:
             if stopped:
                 raise GoalError(-1, stopped)
-            trajectory, late = trajectory_of(message.goal.trajectory, self._names, self._limits, measured, wire.now())
+            here = self._desired(measured, now)
+            trajectory, late = trajectory_of(message.goal.trajectory, self._names, self._limits, here, wire.now())
             follower = joint_trajectory.init(self._tolerances(message.goal), now)
             self._end(_PREEMPTED, 0, "A newer goal took its place.", now)
             self._follower = joint_trajectory.follow(follower, trajectory, now - late)
@@ -122,11 +124,21 @@ class TrajectoryAction:
         if not message.points:  # ros_control stops then
             return self.drop(now)
         try:
-            trajectory, late = trajectory_of(message, self._names, self._limits, measured, wire.now())
+            here = self._desired(measured, now)
+            trajectory, late = trajectory_of(message, self._names, self._limits, here, wire.now())
         except GoalError as error:
             return wire.complain(str(error))
         self._end(_PREEMPTED, 0, "A trajectory on the command topic took its place.", now)
         self._follower = joint_trajectory.follow(joint_trajectory.init(self._config, now), trajectory, now - late)
+
+    def _desired(self, measured: JointInput, now: float) -> JointInput:
+        """Return where the joints should be, from where a new trajectory goes on; without one where they are."""
+        follower = self._follower
+        if follower is None or follower.trajectory is None or follower.hold is not None:
+            return measured
+        t = float(follower.trajectory.stamps[0]) + now - follower.start
+        q, velocity, _ = sample(follower.trajectory, t, follower.config.degree)
+        return JointInput(q, velocity)
 
     def _tolerances(self, goal: Any) -> JointTrajectoryConfig:
         """Return the settings with a goal's own tolerances; 0 is the default, less than 0 none at all."""

@@ -28,12 +28,12 @@ def seconds(time: Any) -> float:
 
 
 def trajectory_of(
-    message: Any, names: tuple[str, ...], limits: JointLimits, measured: JointInput, now: float
+    message: Any, names: tuple[str, ...], limits: JointLimits, here: JointInput, now: float
 ) -> tuple[ConfigurationTrajectory, float]:
     """Return the trajectory of a message, its joints in the order of `names`, and how long ago it began [s].
 
-    It begins where the joints are measured to be, where its first point is due later than its start, as ros_control's
-    do. Where points lack velocities they are those of a smooth spline.
+    It begins at `here`, where the joints are or should be, where its first point is due later than its start, as
+    ros_control's do. Where points lack velocities they are those of a smooth spline.
 
     Raises:
         GoalError: it is of other joints, has no points, has times that do not grow, numbers that are not finite or
@@ -61,9 +61,9 @@ def trajectory_of(
             INVALID_GOAL, f"Point {row} (from 0) takes {names[joint]} to {q[row, joint]:g}, beyond its limits."
         )
     if stamps[0] > 0.0:
-        stamps, q = np.append(0.0, stamps), np.vstack([measured.q, q])
+        stamps, q = np.append(0.0, stamps), np.vstack([here.q, q])
         if velocities is not None:
-            velocities = np.vstack([measured.velocity, velocities])
+            velocities = np.vstack([here.velocity, velocities])
     try:
         return timed_points(stamps, q, velocities, names), now - start
     except LongreachError as error:
