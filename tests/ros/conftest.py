@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -19,6 +20,9 @@ def ros(tmp_path_factory):
     """The environment of a ROS whose master runs."""
     if not ROSMASTER.is_file():
         pytest.skip("there is no ROS 1 here; install Debian's python3-rospy and python3-rosmaster")
+    seen = subprocess.run([sys.executable, "-c", "from longreach.ros import wire; wire.rospy()"], capture_output=True)
+    if seen.returncode:
+        pytest.skip(f"this Python cannot use rospy: {seen.stderr.decode().strip().splitlines()[-1]}")
     home, port = tmp_path_factory.mktemp("ros"), free_port()
     given = {
         "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
