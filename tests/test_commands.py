@@ -36,6 +36,8 @@ def check(arguments):
 def has_what_it_needs(arguments):
     """Whether the files are there that the command reads."""
     verb, *rest = arguments
+    if verb == "view" and "--export" not in rest:
+        return False  # serves until it is interrupted
     return verb == "warmup" or rest[0] in QUICKER or Path(rest[0]).exists()
 
 

@@ -102,7 +102,7 @@ def add_base_outline(scene: Any, name: str, robot: MobileManipulator, colour: tu
         lines += list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
     lines += [(np.array([*c, -z]), np.array([*c, z])) for c in ring]
     points = (np.array(lines) + middle).astype(np.float32)
-    scene.add_line_segments(f"{name}/edges", points, colour, line_width=2.0)
+    scene.add_line_segments(f"{name}/edges", points, colour, thickness=2.0, thickness_units="screen")
     return outline
 
 

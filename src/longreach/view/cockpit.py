@@ -24,17 +24,9 @@ _FRAME = 0.05  # [s] between two pictures
 _COASTS = 0.4  # a key that is held repeats faster than this [s]
 _STEP = 0.05  # of the driven paths [m]
 _SILENT = 0.25  # [s]
-_KEYS = {
-    "W": (1, 0, 0), "S": (-1, 0, 0), "A": (0, 1, 0), "D": (0, -1, 0), "Q": (0, 0, 1), "E": (0, 0, -1)
-}  # fmt: skip
-_BUTTONS = {
-    "↑ forward (W)": "W",
-    "↓ back (S)": "S",
-    "← left (A)": "A",
-    "→ right (D)": "D",
-    "⟲ turn (Q)": "Q",
-    "⟳ turn (E)": "E",
-}
+# Not W A S D Q E nor the arrows: with those viser moves the camera.
+_KEYS = {"I": (1, 0, 0), "K": (-1, 0, 0), "J": (0, 1, 0), "L": (0, -1, 0), "U": (0, 0, 1), "O": (0, 0, -1)}
+_BUTTONS = {"I": "↑ forward", "K": "↓ back", "J": "← left", "L": "→ right", "U": "⟲ turn left", "O": "⟳ turn right"}
 _TURN = 1.5  # how much faster it turns than it drives [rad/m]
 
 
@@ -92,8 +84,10 @@ class Cockpit:
             return
         with gui.add_folder("Drive (hold a key or a button)"):
             self._pace = gui.add_slider("Speed [m/s]", min=0.05, max=0.8, step=0.05, initial_value=0.3)
-            for label, key in _BUTTONS.items():
-                gui.add_button(label).on_hold(lambda _, key=key: self.drive(key), callback_hz=10.0)
+            for key, label in _BUTTONS.items():
+                gui.add_button(f"{label} ({key})", color="gray").on_hold(
+                    lambda _, key=key: self.drive(key), callback_hz=10.0
+                )
         for key in _KEYS:
             gui.add_command(f"Drive {key}", hotkey=key).on_trigger(lambda _, key=key: self.drive(key))
 

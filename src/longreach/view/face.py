@@ -1,7 +1,7 @@
 """What a page asks of a client: the part of `longreach.connect`'s face that it uses."""
 
 from collections.abc import Callable
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 Method = Literal["task-priority", "sqp"]
 
 
+@runtime_checkable
 class Commanded(Protocol):
     """A robot to watch and to command. `state` has what `longreach.live.state.LiveState` has."""
 

@@ -66,7 +66,9 @@ class Scene:
             "/ellipse", *disc, color=blue, opacity=0.35, side="double", cast_shadow=False, visible=False
         )
         ring = np.column_stack([disc[0][1:], np.roll(disc[0][1:], -1, axis=0)]).reshape(-1, 2, 3)
-        self._ring = scene.add_line_segments("/ellipse_edge", ring, blue, line_width=2.0, visible=False)
+        self._ring = scene.add_line_segments(
+            "/ellipse_edge", ring, blue, thickness=2.0, thickness_units="screen", visible=False
+        )
         self._tool_truth = scene.add_icosphere("/tool_truth", radius=0.018, color=(0, 0, 0), visible=False)
         self._scan = scene.add_point_cloud(
             "/scan", np.zeros((1, 3), np.float32), rgb(COLOURS["scan"]), point_size=0.03, point_shape="circle",
@@ -120,7 +122,9 @@ class Scene:
         points = np.asarray(points, dtype=np.float32)
         points = points + np.array([0.0, 0.0, _ABOVE], np.float32)
         pairs = np.stack([points[:-1], points[1:]], axis=1)
-        return self._scene.add_line_segments(f"/paths/{name}", pairs, rgb(colour), line_width=wide)
+        return self._scene.add_line_segments(
+            f"/paths/{name}", pairs, rgb(colour), thickness=wide, thickness_units="screen"
+        )
 
     def add_growing_path(
         self, name: str, times: np.ndarray, points: Float[np.ndarray, "k 3"], colour: str

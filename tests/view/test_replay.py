@@ -1,0 +1,54 @@
+"""A run as a page shows it, and the scene of it as one file."""
+
+import numpy as np
+import pytest
+
+from longreach.errors import RecordingError
+from longreach.view.bodies import cylinder, quaternion
+from longreach.view.replay import read_run
+
+
+def test_the_robot_stands_where_estimate_and_joints_say(drive):
+    middle = drive.moments[drive.index(1.0)]
+    np.testing.assert_allclose(middle.q[:3], [0.5, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(middle.q[3], 0.1, atol=1e-9)
+    np.testing.assert_allclose(middle.wheels, [0.5, 0.05, 0.0], atol=1e-9)
+
+
+def test_a_wall_is_one_row_of_map_points_that_are_known_when_they_were_seen(drive):
+    assert np.all(np.diff(drive.map_times) >= 0)
+    assert len(drive.map_points) > 10
+    np.testing.assert_allclose(drive.map_points[:, 0].min(), 0.3932 + 2.0, atol=0.05)
+
+
+def test_the_plots_tell_the_error_in_millimetres(drive):
+    wheels = next(plot for plot in drive.plots if plot.title == "Error of the wheels alone [mm]")
+    np.testing.assert_allclose(wheels.curves[0].values[-1], 100.0, atol=1e-6)
+    assert wheels.highest > 100.0
+
+
+def test_a_time_before_the_start_or_after_the_end_shows_the_first_or_last_moment(drive):
+    assert drive.index(-1.0) == 0
+    assert drive.index(99.0) == len(drive.moments) - 1
+
+
+def test_what_is_not_there_is_said_in_a_sentence(tmp_path):
+    with pytest.raises(RecordingError, match="There is nothing at"):
+        read_run(tmp_path / "none")
+
+
+def test_a_quaternion_turns_as_its_matrix_does(rng):
+    from longreach.geometry import so3
+
+    R = so3.exp(rng.normal(size=3))
+    w, *v = quaternion(R)
+    p = rng.normal(size=3)
+    turned = p + 2 * np.cross(v, np.cross(v, p) + w * p)
+    np.testing.assert_allclose(turned, R @ p, atol=1e-9)
+
+
+def test_a_cylinder_is_closed_and_its_faces_look_outward():
+    corners, faces = cylinder(0.1, 0.5)
+    a, b, c = (corners[faces[:, i]] for i in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6.0
+    np.testing.assert_allclose(volume, np.pi * 0.01 * 0.5, rtol=0.01)
