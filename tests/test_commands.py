@@ -80,7 +80,7 @@ def test_the_readmes_commands_run_and_leave_what_the_documents_say(tmp_path, mon
             ended = subprocess.run([sys.executable, "-m", "longreach", *arguments, *quicker], capture_output=True)
             assert ended.returncode == 0, ended.stderr.decode()
             ran.append(arguments[0])
-    assert set(ran) == {"run", "info", "estimate", "evaluate", "plan", "warmup"}
+    assert set(ran) == {"run", "info", "estimate", "evaluate", "plan", "view", "warmup"}
     text = (ROOT / "docs" / "outputs.md").read_text(encoding="utf-8")
     for name in {path.name for path in Path("out").rglob("*") if path.is_file()}:
         assert f"`{name}`" in text, f"{name} is not explained"

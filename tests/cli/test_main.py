@@ -10,7 +10,7 @@ from longreach.cli import estimate, info
 from longreach.errors import LongreachError
 
 HEAVY = ("numpy", "numba", "scipy", "matplotlib", "rosbags", "jaxtyping", "longreach.app")
-VERBS = ("info", "estimate", "evaluate", "plan", "run", "serve", "connect", "warmup")
+VERBS = ("info", "estimate", "evaluate", "plan", "run", "serve", "connect", "view", "warmup")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], *([verb, "--help"] for verb in VERBS)], ids=" ".join)

@@ -52,3 +52,20 @@ def test_a_cylinder_is_closed_and_its_faces_look_outward():
     a, b, c = (corners[faces[:, i]] for i in range(3))
     volume = np.sum(a * np.cross(b, c)) / 6.0
     np.testing.assert_allclose(volume, np.pi * 0.01 * 0.5, rtol=0.01)
+
+
+def test_a_report_gets_the_scene_and_still_fetches_nothing(drive, tmp_path, monkeypatch):
+    pytest.importorskip("viser")
+    from longreach.view import export
+
+    report = tmp_path / "report.html"
+    report.write_text("<body><section><h2>Figures</h2></section></body>", encoding="utf-8")
+    monkeypatch.setattr(export, "read_run", lambda folder: drive)
+    assert not export.add_to_report(tmp_path)  # there is no run
+    for name in ("recording.mcap", "fused.tum"):
+        (tmp_path / name).touch()
+    assert export.add_to_report(tmp_path)
+    page = report.read_text(encoding="utf-8")
+    assert len(page) < 10e6
+    assert page.index("srcdoc=") < page.index("<h2>Figures")
+    assert "<script" not in page  # they are in the frame, escaped

@@ -27,6 +27,7 @@ def command(
     from longreach.errors import ConfigError
     from longreach.evaluation.tables import metric_table
     from longreach.io.config import validated
+    from longreach.view.export import add_to_report
 
     if experiment not in EXPERIMENTS:
         raise ConfigError(f"There is no experiment {experiment!r}; there are {', '.join(EXPERIMENTS)}.")
@@ -47,6 +48,8 @@ def command(
     with shown_progress() as progress:
         warm_up(progress, *chosen.rooms)
         metrics = chosen.run(config, folder, progress)
+        progress("scene for the report", 0.0)
+        add_to_report(folder)
     table = metric_table(chosen.main(metrics))
     print_table(table.header, table.rows)
     typer.echo(chosen.verdict(metrics))

@@ -53,6 +53,8 @@ def _serve(server: object, loop: object, duration: float | None) -> None:
     import threading
     from typing import Any, cast
 
+    from longreach.view.page import close_page
+
     page, work = cast(Any, server), cast(Any, loop)
     until = threading.Event()
     if duration is not None:
@@ -63,7 +65,7 @@ def _serve(server: object, loop: object, duration: float | None) -> None:
     try:
         work(until)
     finally:
-        page.stop()
+        close_page(page)
 
 
 def _show_robot(address: str, token: str | None, certificates: Path | None, port: int, duration: float | None) -> None:

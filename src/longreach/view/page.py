@@ -1,6 +1,8 @@
 """The page itself: a viser server on this machine, its look, its legend and its plots."""
 
+import io
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -24,12 +26,19 @@ _NAMES = {
 
 def open_page(host: str = "127.0.0.1", port: int = 8080) -> Any:
     """Start a viser server, without anything in it but its look."""
-    server = engine().ViserServer(host=host, port=port, label="longreach", verbose=False)
+    with redirect_stdout(io.StringIO()):  # it has a banner of its own
+        server = engine().ViserServer(host=host, port=port, label="longreach", verbose=False)
     server.gui.configure_theme(
         show_logo=False, show_share_button=False, control_width="medium", brand_color=(0, 114, 178)
     )
     server.gui.set_panel_label("longreach")
     return server
+
+
+def close_page(server: Any) -> None:
+    """End a page's server."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def add_legend(server: Any, shown: Sequence[str]) -> None:
