@@ -1,14 +1,14 @@
 """Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
 Layout of the mean (13 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, scale error of the counter in x y
-θ, then m anchors x y θ. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth). Measurements
-have 1 to 3 rows, so the small systems are solved by a Cholesky written out here.
+θ, then m anchors x y θ. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth).
 """
 
 import math
 
 import numpy as np
 
+from longreach.estimation._cholesky_kernels import cholesky, solve
 from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
@@ -119,38 +119,6 @@ def predict(mean, P, dt, tau, variances, bias_walk, stamp_variance):
 
 
 @kernel
-def _cholesky(S, L):
-    for i in range(len(S)):
-        for j in range(i + 1):
-            total = S[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = total / L[j, j]
-            elif total > 0.0 and total < np.inf:
-                L[i, i] = math.sqrt(total)
-            else:
-                return False
-    return True
-
-
-@kernel
-def _solve(L, b, x):
-    """L Lᵀ x = b."""
-    n = len(b)
-    for i in range(n):
-        total = b[i]
-        for k in range(i):
-            total -= L[i, k] * x[k]
-        x[i] = total / L[i, i]
-    for i in range(n - 1, -1, -1):
-        total = x[i]
-        for k in range(i + 1, n):
-            total -= L[k, i] * x[k]
-        x[i] = total / L[i, i]
-
-
-@kernel
 def _inflation(A, R, r, gate, L):
     """Scale s of R at which the NIS rᵀ (A + s R)⁻¹ r falls to the gate, L the factor there; 0 where there is none.
 
@@ -159,9 +127,9 @@ def _inflation(A, R, r, gate, L):
     x = np.empty(len(r))
     s = 1.0
     for _ in range(60):
-        if not _cholesky(A + s * R, L):
+        if not cholesky(A + s * R, L):
             return 0.0
-        _solve(L, r, x)
+        solve(L, r, x)
         nis = np.sum(r * x)
         if nis <= gate * (1.0 + 1e-9):
             return s
@@ -239,22 +207,6 @@ def innovation_covariance(P, H, R):
 
 
 @kernel
-def is_definite(S):
-    """Tell whether S is positive definite."""
-    return _cholesky(S, np.empty(S.shape))
-
-
-@kernel
-def squared_norm(S, r):
-    """rᵀ S⁻¹ r, or 0 where S is not positive definite."""
-    L, x = np.empty(S.shape), np.empty(len(r))
-    if not _cholesky(S, L):
-        return 0.0
-    _solve(L, r, x)
-    return np.sum(r * x)
-
-
-@kernel
 def _joseph(P, K, H, R, scale):
     """(I - K H) P (I - K H)ᵀ + K (scale R) Kᵀ."""
     n, k = K.shape
@@ -284,9 +236,9 @@ def correct(mean, P, r, H, R, gate, inflate):
     n, k = len(mean), len(r)
     PHt, A = _innovation_parts(P, H)
     L, x = np.zeros((k, k)), np.empty(k)
-    if not _cholesky(A + R, L):
+    if not cholesky(A + R, L):
         return mean.copy(), P.copy(), np.inf, 0.0
-    _solve(L, r, x)
+    solve(L, r, x)
     nis, scale = np.sum(r * x), 1.0
     if nis > gate:
         scale = _inflation(A, R, r, gate, L) if inflate else 0.0
@@ -294,7 +246,7 @@ def correct(mean, P, r, H, R, gate, inflate):
             return mean.copy(), P.copy(), nis, 0.0
     K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
     for i in range(n):  # (3.29c)
-        _solve(L, PHt[i], K[i])
+        solve(L, PHt[i], K[i])
         for a in range(k):
             dx[i] += K[i, a] * r[a]
     moved = retract(mean, dx, G)  # (3.29a)

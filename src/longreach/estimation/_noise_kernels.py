@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from longreach.estimation._kernels import _cholesky, _solve
+from longreach.estimation._cholesky_kernels import cholesky, solve
 from longreach.kernels import kernel
 
 
@@ -17,15 +17,15 @@ def score(S, r, parts, most, slope, information):
     """
     k, m = len(r), len(parts)
     L, x, column = np.empty((k, k)), np.empty(k), np.empty(k)
-    if not _cholesky(S, L):
+    if not cholesky(S, L):
         return False
-    _solve(L, r, x)
+    solve(L, r, x)
     nis = np.sum(r * x)
     counted = min(1.0, most / nis) if nis > 0.0 else 1.0
     inverse_parts = np.empty((m, k, k))
     for p in range(m):
         for j in range(k):
-            _solve(L, parts[p, :, j].copy(), column)
+            solve(L, parts[p, :, j].copy(), column)
             for i in range(k):
                 inverse_parts[p, i, j] = column[i]
     for p in range(m):

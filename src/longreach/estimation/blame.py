@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from longreach.estimation import _kernels, ekf
+from longreach.estimation import _cholesky_kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.observation import Measurement, Observation
 from longreach.estimation.snapshot import Doubt, Snapshot
@@ -33,14 +33,17 @@ def blamed(
     S (k, k): of the innovation.
     """
     (r, H, _), source = observation, measurement.source
-    if not (isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and _kernels.squared_norm(S, r) > gate):
+    if not (
+        isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)
+        and _cholesky_kernels.squared_norm(S, r) > gate
+    ):
         return now._replace(doubts=_without(now.doubts, source)) if source in now.doubts else now
     doubts = _without(now.doubts, source)
     for counter, added in now.steps.items():
         M, Q = _moving(now, counter, source, at), np.sum(added, axis=0)
         HM = H @ M
         for s in _SLIPS:
-            if _kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
+            if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
                 return now._replace(P=loosened(now.P, M, s * Q), doubts=doubts)
     if source in now.steps:
         return now

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _anchor_kernels, _kernels
+from longreach.estimation import _anchor_kernels, _cholesky_kernels, _kernels
 from longreach.estimation.motion import Counter, MotionModel
 
 BODY, SCALE = _kernels.BODY, _kernels.SCALE
@@ -82,7 +82,7 @@ def innovation_covariance(
 
 def is_definite(S: Float[np.ndarray, "k k"]) -> bool:
     """Tell whether S is positive definite."""
-    return _kernels.is_definite(S)
+    return _cholesky_kernels.is_definite(S)
 
 
 def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
