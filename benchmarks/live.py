@@ -8,7 +8,9 @@ that only watch.
 """
 
 import argparse
+import atexit
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -37,6 +39,7 @@ class Server:
     def __init__(self, hardware, *options):
         command = [sys.executable, "-m", "longreach", "serve", "--hardware", hardware, "--address", _ADDRESS, *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        atexit.register(self.process.kill)
         while "Serving" not in self.process.stdout.readline():
             assert self.process.poll() is None
 
@@ -198,6 +201,7 @@ def main():
     parser.add_argument("--length", type=float, default=2.0)
     parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no server is left behind
     if options.dual_trajectory:
         dual_trajectory(options.length, options.seeds)
         return

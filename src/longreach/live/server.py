@@ -72,7 +72,7 @@ class Server:
         z = zenoh()
         self._publishers = {
             topic: self._session.declare_publisher(
-                topic.key, congestion_control=z.CongestionControl.DROP, priority=z.Priority.REAL_TIME, express=True
+                topic.key, congestion_control=z.CongestionControl.DROP, priority=z.Priority.REAL_TIME
             )
             for topic in streams
         }
