@@ -75,26 +75,15 @@ def placed(nodes: dict[str, Any], robot: MobileManipulator, q: Float[np.ndarray,
             yield node, robot.frame(name, q) if name in robot.frames else np.eye(4)
 
 
-def add_base_ghost(
-    scene: Any, name: str, robot: MobileManipulator, colour: tuple[int, int, int], opacity: float
+def add_base_outline(
+    scene: Any, name: str, robot: MobileManipulator, colour: tuple[int, int, int], margin: float = 0.01
 ) -> Any:
-    """Add a pale copy of the base alone; its node moves all of it."""
-    ghost = scene.add_frame(name, show_axes=False, visible=False)
-    shapes = _base_shapes(robot)
-    for i, shape in enumerate(shapes):
-        _add_shape(scene, f"{name}/{i}", shape, colour, opacity)
-    if not shapes:
-        _plain_base(scene, name, robot, colour, opacity)
-    return ghost
-
-
-def add_base_outline(scene: Any, name: str, robot: MobileManipulator, colour: tuple[int, int, int]) -> Any:
-    """Add the edges of the base's foot and top, with a nose; its node moves all of it."""
+    """Add the edges of the base, a margin [m] outside of it; its node moves all of them."""
     outline = scene.add_frame(name, show_axes=False, visible=False)
     boxes = [shape for shape in _base_shapes(robot) if shape.kind == "box"]
     x, y, z = 0.5 * np.array(boxes[0].size) if boxes else np.array([0.27, 0.2, 0.12])
     middle = boxes[0].T_link_shape[:3, 3] if boxes else np.array([0.0, 0.0, 0.15])
-    x, y, z = x + 0.01, y + 0.01, z + 0.005
+    x, y, z = x + margin, y + margin, z + 0.5 * margin
     ring = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
     lines = []
     for height in (-z, z):

@@ -51,13 +51,13 @@ class Scene:
             section_color=(205, 208, 213), cell_thickness=0.6, section_thickness=0.8, shadow_opacity=0.25,
             position=(float(np.round(center[0])), float(np.round(center[1])), 0.0),
         )  # fmt: skip
-        back = max(radius, 1.6)
+        back = 0.85 * max(radius, 1.6)
         server.initial_camera.position = (center[0] - 1.0 * back, center[1] - 1.55 * back, 1.35 * back)
-        server.initial_camera.look_at = (center[0], center[1], 0.35)
+        server.initial_camera.look_at = (center[0], center[1], 0.05)
         server.initial_camera.up = (0.0, 0.0, 1.0)
         self._links = bodies.add_robot(scene, "/robot", robot)
         self._ghosts = {
-            "wheels": bodies.add_base_ghost(scene, "/wheels", robot, rgb(COLOURS["wheels"]), 0.35),
+            "wheels": bodies.add_base_outline(scene, "/wheels", robot, rgb(COLOURS["wheels"]), 0.02),
             "truth": bodies.add_base_outline(scene, "/truth", robot, rgb(COLOURS["truth"])),
         }
         disc = bodies.disc()
