@@ -113,7 +113,7 @@ class Scene:
         if scan is None:
             return
         if scan is not self._shown_scan:
-            self._scan.points = np.column_stack([scan, np.full(len(scan), 0.233)]).astype(np.float32)
+            self._scan.points = np.column_stack([scan, np.full(len(scan), 2 * _ABOVE)]).astype(np.float32)
             self._shown_scan = scan
         bodies.place_plane(self._scan, pose)
 
