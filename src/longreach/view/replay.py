@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.app.estimate import estimate, sensor_mount
-from longreach.errors import RecordingError
+from longreach.errors import LongreachError, RecordingError
 from longreach.evaluation.alignment import align_pairs, associate, moved
 from longreach.evaluation.scan_map import scan_points
 from longreach.io.bag_file import open_bag
@@ -73,7 +73,7 @@ def _robot_of(folder: Path | None) -> MobileManipulator:
         description = read_config(folder / "robot.yaml", RobotDescription)
         try:
             return load_robot(description.name)
-        except Exception:  # it was a file's of its user
+        except LongreachError:  # it was a file's of its user
             return MobileManipulator.from_description(description, folder)
     settings = folder / "config.yaml" if folder is not None else None
     if settings is not None and settings.is_file():
