@@ -22,7 +22,7 @@ def test_an_attachment_has_33_bytes_and_says_what_was_attached():
     assert attached(data + bytes(16))[1] == bytes(16)
 
 
-@pytest.mark.parametrize("data", [b"", bytes(33), bytes(1000), attach(1, bytes(16))[:-1]])
+@pytest.mark.parametrize("data", [b"", bytes(33), bytes(1000), attach(1, bytes(16))[:-1]], ids=range(4))
 def test_what_is_no_attachment_is_refused(data):
     with pytest.raises(ValueError, match="not an attachment"):
         attached(data)
