@@ -8,11 +8,15 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 demo: .venv/.installed
 	$(BIN)/longreach run dual-trajectory --out out/demo
 
+# Tests of several processes that keep time with each other have the machine for themselves.
+TIMED := tests/live tests/ros tests/view
+
 # Kernels are compiled beforehand, once for all processes of the tests.
 # LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
 test: .venv/.installed-dev
 	$(BIN)/longreach warmup
-	$(BIN)/pytest --numprocesses=auto
+	$(BIN)/pytest --numprocesses=auto $(addprefix --ignore=,$(TIMED))
+	$(BIN)/pytest $(TIMED)
 
 check: .venv/.installed-dev
 	$(BIN)/ruff check

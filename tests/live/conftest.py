@@ -11,12 +11,12 @@ from longreach.live.client import connect
 _SERVED = {}  # one for all tests, until one of them ends it
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def thing():
     return lr.load_robot("thing")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def serve(tmp_path_factory):
     """Serve a robot, as often as it is called; all end with the session."""
     all_served = []
@@ -58,7 +58,7 @@ def to():
         one.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def certificates(tmp_path_factory):
     """Folders of certificates: `ours`, `strange` (signed by somebody else) and `bare` (none of a client)."""
     folders = {name: tmp_path_factory.mktemp(name) for name in ("ours", "strange", "bare")}

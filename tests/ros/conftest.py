@@ -15,7 +15,7 @@ from longreach.ros.package import write_package
 ROSMASTER, ROSLAUNCH = Path("/usr/bin/rosmaster"), Path("/usr/bin/roslaunch")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def ros(tmp_path_factory):
     """The environment of a ROS whose master runs."""
     if not ROSMASTER.is_file():
@@ -35,14 +35,14 @@ def ros(tmp_path_factory):
         yield environment
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def plain():
     """Run a function in a process that does not check shapes at run time, which an estimate takes long with."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield lambda function, *arguments: pool.submit(function, *arguments).result(60.0)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def other(ros):
     """Run a function in a process that is a node itself, for rospy's threads and sockets outlive its tests."""
     spawn = multiprocessing.get_context("spawn")
@@ -50,13 +50,13 @@ def other(ros):
         yield lambda function, *arguments: pool.submit(function, *arguments).result(60.0)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def nodes(ros):
     """Start `longreach ros …` as a process."""
     return lambda *arguments: process([sys.executable, "-m", "longreach", "ros", *arguments], ros)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def launched(ros, tmp_path_factory):
     """Start one of our launch files, found in a package that was written for it, with arguments NAME:=VALUE."""
     if not ROSLAUNCH.is_file():

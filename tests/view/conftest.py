@@ -30,12 +30,12 @@ _FLAGS = [
 ]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def thing():
     return lr.load_robot("thing")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def drive(thing):
     """Two seconds at 0.5 m/s towards a wall that stands 2 m before the laser at the end; wheels drift sideways."""
     t = np.linspace(0.0, 2.0, 51)
@@ -137,7 +137,7 @@ def running():
         thread.join()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser():
     playwright = pytest.importorskip("playwright.sync_api")
     if not Path(_CHROMIUM).exists():
