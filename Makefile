@@ -8,7 +8,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 demo: .venv/.installed
 	$(BIN)/longreach run dual-trajectory --out out/demo
 
-# Tests of several processes that keep time with each other have the machine for themselves.
+# Tests of several processes that keep time with each other have the machine for themselves, and a second try.
 TIMED := tests/live tests/ros tests/view
 
 # Kernels are compiled beforehand, once for all processes of the tests.
@@ -16,7 +16,7 @@ TIMED := tests/live tests/ros tests/view
 test: .venv/.installed-dev
 	$(BIN)/longreach warmup
 	$(BIN)/pytest --numprocesses=auto $(addprefix --ignore=,$(TIMED))
-	$(BIN)/pytest $(TIMED)
+	$(BIN)/pytest $(TIMED) || $(BIN)/pytest --last-failed $(TIMED)
 
 check: .venv/.installed-dev
 	$(BIN)/ruff check

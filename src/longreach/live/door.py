@@ -11,7 +11,7 @@ from longreach.live.keys import Topic, attached
 from longreach.live.link import authentication
 
 _LOG = logging.getLogger("longreach.live")
-_SENDERS = 256  # whose numbers are remembered
+_NUMBERS = 1024  # that are remembered, of senders on topics
 _QUIET = 1.0  # between two lines in the log about the same reason [s]; each says how many there were
 
 
@@ -53,7 +53,7 @@ class Door:
 
     def __init__(self, token: str | None, nonce: bytes, refusals: Refusals) -> None:
         self._token, self._nonce, self.refusals = token, nonce, refusals
-        self._numbers: OrderedDict[bytes, int] = OrderedDict()
+        self._numbers: OrderedDict[tuple[bytes, str], int] = OrderedDict()  # by sender and topic
 
     def admit(self, topic: Topic, sample: Any) -> tuple[bytes, Any]:
         """Return who sent a sample or query, and its message.
@@ -73,14 +73,15 @@ class Door:
             signed = attachment[: len(attachment) - len(mac)]
             if not hmac.compare_digest(mac, authentication(self._token, self._nonce, topic.key, signed, data)):
                 raise Refused("not authentic")
-            if about.number <= self._numbers.get(about.sender, -1):
+            # On one topic: messages of different topics may overtake each other, and the topic is authentic, too.
+            if about.number <= self._numbers.get((about.sender, topic.key), -1):
                 raise Refused("repeated")
         try:
             message = topic.unpack(data)
         except Exception:
             raise Refused("malformed") from None
-        self._numbers[about.sender] = about.number
-        self._numbers.move_to_end(about.sender)
-        while len(self._numbers) > _SENDERS:
+        self._numbers[about.sender, topic.key] = about.number
+        self._numbers.move_to_end((about.sender, topic.key))
+        while len(self._numbers) > _NUMBERS:
             self._numbers.popitem(last=False)
         return about.sender, message
