@@ -85,15 +85,19 @@ def test_robot_state_publisher_places_our_frames_where_our_kinematics_does(thing
     chains = {end: KinematicChain.from_urdf(path, "base_link", end) for end in ends}
     joints = tuple(joint.name for joint in urdf.joints if joint.moves and "wheel" not in joint.name)
     found = other(frames_by_tf, "base_link", ends, joints, 5)
+    off = []  # of each time that tf was asked, the link that is furthest off
     for q, placed in found:
         angles = dict(zip(joints, q.tolist(), strict=True))
+        told = {}
         for end, chain in chains.items():
             T = chain.forward(np.array([angles[name] for name in chain.joint_names]))
             x, y, z, *turn = placed[end].tolist()
-            told = se3.from_rotation_translation(rotation(*turn), np.array([x, y, z]))
-            np.testing.assert_allclose(told, T, atol=2e-4, err_msg=end)  # the arm settles while tf is told
+            told[end] = np.abs(se3.from_rotation_translation(rotation(*turn), np.array([x, y, z])) - T).max()
         q_all = np.concatenate([np.zeros(3), [angles[name] for name in thing.joint_names[thing.arm]]])
-        np.testing.assert_allclose(thing.forward(q_all)[:3, 3], placed["tool"][:3], atol=2e-4)
+        told["tool of the plans"] = np.abs(thing.forward(q_all)[:3, 3] - placed["tool"][:3]).max()
+        off.append(max(told.values()))
+    assert np.median(off) < 1e-9, off
+    assert max(off) < 2e-4, off  # joint states and tf of two moments, while the arm settles
 
 
 def test_the_estimate_beside_the_robot_follows_it(thing, robot, nodes, other):
