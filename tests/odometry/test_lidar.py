@@ -7,6 +7,7 @@ import pytest
 
 from longreach.geometry import se2, se3, so3
 from longreach.measurement import LaserScan
+from longreach.odometry.chain import chain
 from longreach.odometry.lidar import LidarConfig, init, lidar_odometry, step
 from longreach.sim.room import cast, polygonal_room
 
@@ -114,6 +115,16 @@ def test_along_a_corridor_nothing_is_told_and_across_it_much(rng):
         assert np.sqrt(P[1, 1]) < 0.01
         assert np.sqrt(P[2, 2]) < 0.01
         assert abs(error_of(match, poses)[1]) < 0.01
+
+
+def test_along_a_corridor_the_deviation_of_the_path_grows_with_time_from_keyframe_to_keyframe(rng):
+    poses = along(np.array([0.05, 0.0, 0.0]), 60, start=(0.0, 0.0, 0.0))
+    scans = [replace(scan, range_max=15.0) for scan in scans_along(poses, walls=CORRIDOR, rng=rng)]
+    matches = lidar_odometry(scans, NOWHERE)
+    assert sum(match.keyframe for match in matches) > 2
+    path = chain([match.measurement for match in matches], [scan.stamp for scan in scans])
+    sigma, time = np.sqrt(path.covariance[:, 0, 0]), path.stamps - path.stamps[0]
+    np.testing.assert_allclose(sigma, LidarConfig().speed * time, rtol=0.05, atol=0.02)
 
 
 def test_one_wall_tells_the_distance_to_it_alone(rng):
