@@ -97,33 +97,35 @@ class Network:
 
 
 class Lossy:
-    """A network between a client and a server, UDP, that loses some of the datagrams."""
+    """A network between clients and a server, UDP, that loses some of the datagrams."""
 
     def __init__(self, port, lost, seed=0):
-        self.near, self.far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-        self.near.bind(("127.0.0.1", 0))
-        self.far.bind(("127.0.0.1", 0))
-        self.port, self.lost, self.seen, self.dropped = self.near.getsockname()[1], 0.0, 0, 0
-        self.part, self._rng, self._client = lost, np.random.default_rng(seed), None
+        self._near, self._server = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), ("127.0.0.1", port)
+        self._near.bind(("127.0.0.1", 0))
+        self.port, self.lost, self.dropped = self._near.getsockname()[1], 0.0, 0
+        self.part, self._rng, self._far = lost, np.random.default_rng(seed), {}
         self.address = f"127.0.0.1:{self.port}"
-        for take, give in ((self.near, lambda d: self.far.sendto(d, ("127.0.0.1", port))), (self.far, self._back)):
-            threading.Thread(target=self._run, args=(take, give), daemon=True).start()
+        self._carry(self._near, lambda data, client: self._to(client).sendto(data, self._server))
 
-    def _back(self, data):
-        if self._client is not None:
-            self.near.sendto(data, self._client)
+    def _to(self, client):
+        """The socket by which the server sees a client, and answers it."""
+        if client not in self._far:
+            self._far[client] = far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            far.bind(("127.0.0.1", 0))
+            self._carry(far, lambda data, _: self._near.sendto(data, client))
+        return self._far[client]
 
-    def _run(self, take, give):
+    def _carry(self, near, give):
+        threading.Thread(target=self._run, args=(near, give), daemon=True).start()
+
+    def _run(self, near, give):
         while True:
             try:
-                data, sender = take.recvfrom(1 << 16)
-                if take is self.near:
-                    self._client = sender
-                self.seen += 1
+                data, sender = near.recvfrom(1 << 16)
                 if self._rng.random() < self.lost:
                     self.dropped += 1
                     continue
-                give(data)
+                give(data, sender)
             except OSError:
                 return
 

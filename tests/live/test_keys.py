@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from longreach.live import keys
-from longreach.live.keys import Topic, attach, attached
+from longreach.live.attachment import attach, attached
+from longreach.live.keys import Topic
 
 
 def test_a_key_is_domain_name_type_and_hash_as_ros_2_has_them():

@@ -10,8 +10,9 @@ from live_networks import free_port, until
 from longreach.errors import LiveError
 from longreach.live import keys, orders
 from longreach.live.door import Door, Refusals, Refused
-from longreach.live.keys import TYPES, attach
-from longreach.live.link import authentication, open_client, open_server
+from longreach.live.attachment import attach, authentication
+from longreach.live.keys import TYPES
+from longreach.live.link import open_client, open_server
 
 _TOKEN = "correct horse"
 _STREAMS = (keys.TWIST, keys.JOINTS, keys.TOOL, keys.GRIPPER, keys.HEARTBEAT)

@@ -1,5 +1,6 @@
 """What the robot does when its client dies, the network is cut, slow or lossy; the recording is whole all the same."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -18,6 +19,21 @@ print("driving", flush=True)
 while True:
     client.velocity(np.array([0.2, 0, 0, 0, 0, 0]), np.array([0.4, 0.0, 0.0]))
     time.sleep(0.02)
+"""
+
+# Holds the robot and lets none of its own threads run for a while; then it waits.
+_BUSY = """
+import sys, time, longreach as lr
+client = lr.connect(sys.argv[1], name="the busy one")
+client.take()
+while not client._line._pulse.beat():
+    time.sleep(0.02)
+print("busy", flush=True)
+began = time.monotonic()
+while time.monotonic() - began < 0.5:
+    sum(range(20_000_000))
+print(time.monotonic() - began, flush=True)
+time.sleep(60.0)
 """
 
 
@@ -65,6 +81,22 @@ def test_a_client_that_is_killed_leaves_a_robot_that_stands(served, to, thing):
     watcher.velocity(base=np.array([0.1, 0.0, 0.0]))
     until(lambda: watcher.state.goal == "direct" and watcher.state.stop == "")
     watcher.release()
+
+
+def test_a_client_that_is_busy_is_not_taken_for_gone_and_one_that_is_halted_is(served, to):
+    watcher = to(served)
+    with subprocess.Popen([sys.executable, "-c", _BUSY, served.address], stdout=subprocess.PIPE, text=True) as busy:
+        assert busy.stdout.readline() == "busy\n"
+        watched, began = Watched(watcher), time.monotonic()
+        assert float(busy.stdout.readline()) > 0.5
+        assert time.monotonic() - began > 0.5
+        assert not [state for state in watched.states if state.stop]
+        busy.send_signal(signal.SIGSTOP)
+        until(lambda: "was not heard" in watcher.state.stop, 0.25 + 0.1 + 0.1)
+        busy.send_signal(signal.SIGCONT)
+        until(lambda: watcher.state.stop == "")
+        busy.kill()
+    until(lambda: watcher.state.holder == "", 4.0)
 
 
 def test_a_network_that_is_cut_stops_the_robot_and_the_plan_goes_on_when_it_is_back(served, to, thing):

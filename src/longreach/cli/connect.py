@@ -27,9 +27,11 @@ def command(
 
     from longreach.cli.watching import watched
     from longreach.live.client import connect
+    from longreach.live.promptness import prompt
     from longreach.planning.planner import check_method
 
     check_method(method)
+    prompt()
     with connect(address, token, certificates=certificates) as client:
         if stop:
             client.stop()

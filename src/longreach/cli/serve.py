@@ -22,7 +22,6 @@ def command(
     duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
-    import gc
     import logging
     import sys
 
@@ -31,6 +30,7 @@ def command(
     from longreach.io.robots import load_robot
     from longreach.live.describing import described
     from longreach.live.door import Refusals
+    from longreach.live.promptness import prompt
     from longreach.live.refused_links import counted
     from longreach.live.server import ServerConfig
     from longreach.live.serving import rehearse, serve
@@ -42,9 +42,7 @@ def command(
         progress("rehearsing", 0.0)
         rehearse(loaded)
     body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
-    gc.collect()
-    gc.freeze()  # what is there now stays: it need not be looked at again and again
-    sys.setswitchinterval(5e-4)  # the loop's thread does not wait long for the network's
+    prompt()
 
     with counted(refusals):
         rhythm = serve(

@@ -70,9 +70,11 @@ def _serve(server: object, loop: object, duration: float | None) -> None:
 
 def _show_robot(address: str, token: str | None, certificates: Path | None, port: int, duration: float | None) -> None:
     from longreach.live.client import connect
+    from longreach.live.promptness import prompt
     from longreach.view.cockpit import Cockpit
     from longreach.view.page import open_page
 
+    prompt()
     with connect(address, token, certificates=certificates, name="page") as client:
         server = open_page(port=port)
         _serve(server, Cockpit(server, client).loop, duration)

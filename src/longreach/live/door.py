@@ -7,8 +7,8 @@ from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from typing import Any
 
-from longreach.live.keys import Topic, attached
-from longreach.live.link import authentication
+from longreach.live.attachment import attached, authentication
+from longreach.live.keys import Topic
 
 _LOG = logging.getLogger("longreach.live")
 _NUMBERS = 1024  # that are remembered, of senders on topics

@@ -17,8 +17,9 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Readings
 from longreach.io import records
 from longreach.live import keys, orders
+from longreach.live.attachment import attached
 from longreach.live.frames import Frames
-from longreach.live.keys import Sensed, Topic, attached
+from longreach.live.keys import Sensed, Topic
 from longreach.live.link import zenoh
 from longreach.live.state import LiveState
 from longreach.measurement import LaserScan

@@ -1,11 +1,8 @@
-"""Under which keys what is sent, laid out as ROS 2's zenoh middleware (rmw_zenoh) does it, and what is attached.
+"""Under which keys what is sent, laid out as ROS 2's zenoh middleware (rmw_zenoh) does it.
 
-A topic's key is domain/name/type/hash, its payload CDR, and its attachment the number of the message, the time of
-sending [ns] and who sent it. Source: rmw_zenoh, docs/design.md and attachment_helpers; REP-2011 for the hashes.
+A topic's key is domain/name/type/hash, its payload CDR. Source: rmw_zenoh, docs/design.md; REP-2011 for the hashes.
 """
 
-import struct
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -18,8 +15,6 @@ from longreach.robot.description import RobotDescription
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES: Mapping[str, Any] = STORE.types
-_ATTACHED = struct.Struct("<qqB16s")  # the 1 byte is the length of what follows
-MAC_SIZE = 16
 
 
 @dataclass(frozen=True)
@@ -96,30 +91,3 @@ class Sensed(NamedTuple):
             Topic(topics.joints or USUAL["joints"], "sensor_msgs/msg/JointState", 65536),
             Topic(topics.truth or "/truth", "geometry_msgs/msg/PoseStamped"),
         )
-
-
-class Attached(NamedTuple):
-    """What comes with a message: its number from its sender on, when it was sent [ns], by whom (16 bytes)."""
-
-    number: int
-    sent_ns: int
-    sender: bytes
-
-
-def attach(number: int, sender: bytes) -> bytes:
-    """Return the attachment of a message that is sent now."""
-    return _ATTACHED.pack(number, time.time_ns(), 16, sender)
-
-
-def attached(data: bytes) -> tuple[Attached, bytes]:
-    """Return what an attachment says, and what follows it: the message's authentication, or nothing.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if len(data) not in (_ATTACHED.size, _ATTACHED.size + MAC_SIZE):
-        raise ValueError("not an attachment")
-    number, sent_ns, length, sender = _ATTACHED.unpack_from(data)
-    if length != 16:
-        raise ValueError("not an attachment")
-    return Attached(number, sent_ns, sender), data[_ATTACHED.size :]

@@ -4,18 +4,19 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
 
 from longreach.errors import LiveError
 from longreach.io import messages
-from longreach.live import keys, orders
+from longreach.live import keys, link, orders
+from longreach.live.attachment import attach, attached, signed
 from longreach.live.keys import TYPES, Topic
-from longreach.live.link import authentication, open_client
+from longreach.live.pulse import BEAT, Pulse
 
 _ANSWER = 2.0  # for how long an answer is waited for [s]
-_BEAT = 0.02  # between two signs of life of a client that holds the robot [s]
 _DOUBT = 2.0  # for how long we believe that we hold the robot where it does not say so [s]
 _PINGS, _PING_EVERY = 20, 1.0  # of how many the fastest tells the offset of the clocks; from one to the next [s]
 
@@ -24,7 +25,10 @@ class Line:
     """A connection with a robot."""
 
     def __init__(self, address: str, token: str | None, certificates: Path | None, timeout: float) -> None:
-        self.session = open_client(address, token, certificates, timeout)
+        self.session = link.open_client(address, token, certificates, timeout)
+        self._where = {"address": address, "token": token, "timeout": timeout, "protocol": link.PROTOCOL}
+        self._where["certificates"] = None if certificates is None else str(certificates)
+        self._pulse: Pulse | None = None
         self.sender, self._token, self._nonce, self._number = secrets.token_bytes(16), token, b"", 0
         self._lock, self._closed = Lock(), Event()
         self._pings: deque[tuple[float, float]] = deque(maxlen=_PINGS)  # how long each took, and the offset [s]
@@ -55,7 +59,7 @@ class Line:
             sample = reply.ok
             if sample is None or len(sample.payload) > topic.limit or sample.attachment is None:
                 continue
-            self._nonce = keys.attached(bytes(sample.attachment))[0].sender
+            self._nonce = attached(bytes(sample.attachment))[0].sender
             return topic.unpack(bytes(sample.payload))
         return None
 
@@ -107,11 +111,10 @@ class Line:
         return self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](words))
 
     def _signed(self, topic: Topic, payload: bytes) -> bytes:
-        self._number += 1
-        attachment = keys.attach(self._number, self.sender)
-        if self._token is None:
-            return attachment
-        return attachment + authentication(self._token, self._nonce, topic.key, attachment, payload)
+        """Return the attachment of a payload; numbers are of the machine's clock, as those of our pulse are."""
+        self._number = max(self._number + 1, time.monotonic_ns())
+        attachment = attach(self._number, self.sender)
+        return signed(self._token, self._nonce, topic.key, attachment, payload)
 
     def ping(self) -> None:
         """Compare the clocks once: ours halfway between question and answer is the robot's in the answer."""
@@ -130,14 +133,25 @@ class Line:
 
     def _beat(self) -> None:
         """Give signs of life while we hold the robot, and see when it has been given to somebody else, or to nobody."""
-        while not self._closed.wait(_BEAT):
+        while not self._closed.wait(BEAT):
             now = time.monotonic()
             if self.confirmed():
                 self._sure = now
             if self.holds and now - self._sure > _DOUBT:
                 self.holds = False
-            if self.holds:
+            if self.holds and not self._beats_by_itself():
                 self._quietly(lambda: self.send(keys.HEARTBEAT, messages.header(TYPES, self.now, "")))
+            elif self._pulse is not None and not self.holds:
+                self._pulse.rest()
+
+    def _beats_by_itself(self) -> bool:
+        """Whether our pulse, a process that has nothing else to do, gives the signs of life."""
+        if self._pulse is None:
+            payload = keys.HEARTBEAT.pack(messages.header(TYPES, 0.0, ""))
+            told = {"payload": payload.hex(), "nonce": self._nonce.hex(), "sender": self.sender.hex()}
+            with suppress(OSError):  # it cannot be started here
+                self._pulse = Pulse({**self._where, **told, "key": keys.HEARTBEAT.key})
+        return self._pulse is not None and self._pulse.beat()
 
     def _quietly(self, do: Any) -> None:
         """Do what may fail while the connection is down: it comes back by itself."""
@@ -153,4 +167,6 @@ class Line:
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * _ANSWER)
+        if self._pulse is not None:
+            self._pulse.close()
         self.session.close()

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from longreach.errors import LiveError
-from longreach.live.keys import MAC_SIZE
 
 USER = "longreach"
 PROTOCOL = "tcp"  # without certificates; the tests' lossy network takes udp
@@ -154,11 +153,3 @@ def _tls(folder: Path, files: Mapping[str, str]) -> dict[str, Any]:
 def _password(token: str) -> str:
     """Return what zenoh is told instead of the token itself, without characters that its files use."""
     return hmac.new(token.encode(), b"longreach session", hashlib.sha256).hexdigest()
-
-
-def authentication(token: str, nonce: bytes, key: str, attachment: bytes, payload: bytes) -> bytes:
-    """Return the HMAC of a message to the server that has drawn the nonce."""
-    parts = hmac.new(token.encode(), digestmod=hashlib.sha256)
-    for part in (nonce, key.encode(), attachment, payload):
-        parts.update(len(part).to_bytes(8, "little") + part)
-    return parts.digest()[:MAC_SIZE]

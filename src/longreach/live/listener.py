@@ -21,7 +21,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LOG = logging.getLogger("longreach.live")
 _FORGOTTEN = 2.0  # a client that is gone for so long holds the robot no more [s]; ours
-_OTHERS = ("stop",)  # what everybody who is let in may say, whoever holds the robot
+_OURS = 0.05  # of the time between two ticks that counts as silence [s]: beyond it the loop itself was late; ours
 
 
 @dataclass
@@ -37,11 +37,15 @@ class _Asked:
 
 @dataclass
 class Holder:
-    """Who holds the robot: nobody where `sender` is empty; heard: when last [s] of time.monotonic()."""
+    """Who holds the robot: nobody where `sender` is empty.
+
+    heard: whether there was a sign of life since the last tick; silent: for how long there was none before that [s].
+    """
 
     sender: bytes = b""
     name: str = ""
-    heard: float = 0.0
+    heard: bool = True
+    silent: float = 0.0
 
 
 class Listener:
@@ -52,7 +56,7 @@ class Listener:
     ) -> None:
         self._robot, self._door, self._moment, self._before = robot, door, moment, before
         self._lock, self._asked = Lock(), _Asked()
-        self.holder = Holder()
+        self.holder, self._taken = Holder(), time.monotonic()
         self.plan: ConfigurationTrajectory | None = None
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
         streams = {
@@ -72,13 +76,14 @@ class Listener:
         """Return what was asked for since the last call, at a time of the robot's clock [s]."""
         with self._lock:
             asked, self._asked, self.plans = self._asked, _Asked(), self._given
-            holder = self.holder
-            silent = time.monotonic() - holder.heard
-            if holder.sender and silent > _FORGOTTEN:
-                _LOG.warning("%s was not heard for %.1f s and holds the robot no more.", holder.name, silent)
+            holder, since, self._taken = self.holder, time.monotonic() - self._taken, time.monotonic()
+            holder.silent = 0.0 if holder.heard else holder.silent + min(since, _OURS)
+            holder.heard = False
+            if holder.sender and holder.silent > _FORGOTTEN:
+                _LOG.warning("%s was not heard for %.1f s and holds the robot no more.", holder.name, holder.silent)
                 holder = self.holder = Holder()
         goal = asked.goal if asked.direct is None else Direct(asked.direct, min(asked.direct.stamp, now))
-        heartbeat = now - silent if holder.sender else None
+        heartbeat = now - holder.silent if holder.sender else None
         return Orders(goal, asked.gripper, asked.stop, asked.reset, heartbeat)
 
     def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
@@ -113,7 +118,7 @@ class Listener:
             holder = self.holder
             if holder.sender != sender:
                 raise Refused("from a client that does not hold the robot")
-            holder.heard = time.monotonic()
+            holder.heard = True
 
     def _set(self, **asked: Any) -> None:
         with self._lock:
@@ -157,7 +162,7 @@ class Listener:
         with self._lock:
             if self.holder.sender not in (b"", sender):
                 raise LiveError(f"{self.holder.name} holds the robot; wait until it is released.")
-            self.holder = Holder(sender, name, time.monotonic())
+            self.holder = Holder(sender, name)
         _LOG.info("%s holds the robot.", name)
         return ""
 

@@ -13,6 +13,7 @@ from longreach.app.robot_side import Moment, Orders
 from longreach.app.tracker import TrackerConfig
 from longreach.io import messages
 from longreach.live import keys, telling
+from longreach.live.attachment import attach
 from longreach.live.door import Door, Refusals
 from longreach.live.keys import TYPES, Sensed, Topic
 from longreach.live.link import open_server, zenoh
@@ -147,14 +148,14 @@ class Server:
             self._recorder.write(topic, payload, now)
         if listens:
             self._numbers[topic] += 1
-            publisher.put(payload, attachment=keys.attach(self._numbers[topic], self._senders[topic]))
+            publisher.put(payload, attachment=attach(self._numbers[topic], self._senders[topic]))
 
     def _tell(self, topic: Topic, say: Callable[..., Any], query: Any) -> None:
         """Answer with what lasts; with the nonce of this server where the attachment of a message has its sender."""
         with query:
             message = say(query) if topic is keys.CLOCK else say()
             if message is not None:
-                query.reply(topic.key, topic.pack(message), attachment=keys.attach(0, self._nonce))
+                query.reply(topic.key, topic.pack(message), attachment=attach(0, self._nonce))
 
     def _plan(self) -> Any:
         plan = self._listener.plan
