@@ -26,6 +26,7 @@ from longreach.app.execution import execute
 from longreach.app.goals import Follow
 from longreach.app.robot_side import Orders
 from longreach.evaluation.execution import tool_metrics
+from longreach.live.promptness import prompt
 from longreach.live.serving import simulated, tracker_config
 
 _WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
@@ -77,44 +78,74 @@ def watchers(count):
 
 
 def costs(server, seconds):
+    """The server's CPU with nobody, one and five who watch, as rows of the report."""
+    rows = []
     for count in (0, 1, 5):
         clients = watchers(count)
         time.sleep(1.0)
-        print(f"server's CPU, {count} watching: {100 * cpu_of(server, seconds):.0f} % of a core")
+        rows.append((f"server's CPU, {count} watching", f"{100 * cpu_of(server, seconds):.0f} % of a core", ""))
         for one in clients:
             one.kill()
             one.wait()
+    return rows
 
 
 def ways(server, minutes):
-    """Losses and delays of one client, and the server's memory, over a time."""
+    """Losses and delays of one client, and the server's memory, over a time, as rows of the report."""
+    prompt()
     with lr.connect(_ADDRESS) as client:
         time.sleep(2.0)
-        stamps, scans, memory = [], [], []
+        stamps, scans, memory, offsets = [], [], [], []
         client._ears.delays.clear()
         lost, delays = client.lost, []
         client.on_state(lambda state: stamps.append(state.stamp))
         client.on_scan(lambda scan: scans.append(scan.stamp))
-        began = time.monotonic()
+        began, cpu = time.monotonic(), server.cpu()
         while time.monotonic() - began < 60.0 * minutes:
             time.sleep(2.0)
-            delays += list(client._ears.delays)
+            delays.append(np.array(client._ears.delays, dtype=np.float32))
             client._ears.delays.clear()
             memory.append((time.monotonic() - began, server.memory()))
-        delays = 1e3 * np.array(delays)
+            offsets.append(client.offset)
+        delays, memory = 1e3 * np.concatenate(delays), np.array(memory)
+        wall, cpu = time.monotonic() - began, server.cpu() - cpu
         gaps = [np.diff(np.array(s)) for s in (stamps, scans)]
-        wall = time.monotonic() - began
-        print(f"{minutes:g} minutes: {len(stamps) / wall:.1f} states/s, {len(scans) / wall:.1f} scans/s")
         missing = [int(np.sum(np.round(gap / period) - 1)) for gap, period in zip(gaps, (0.008, 0.025), strict=True)]
-        print(f"lost: {missing[0]} states, {missing[1]} scans, {client.lost - lost} messages of any kind (bar: 0)")
         p50, p99, p100 = np.percentile(delays, [50, 99, 100])
-        print(f"under way: median {p50:.2f} ms (bar: 1), p99 {p99:.2f} ms (bar: 5), longest {p100:.1f} ms")
-        memory = np.array(memory)
-        settled = memory[memory[:, 0] > min(20.0, 30.0 * minutes)]
-        slope = 60.0 * np.polyfit(settled[:, 0], settled[:, 1], 1)[0]
-        print(f"server's memory: {memory[-1, 1]:.0f} MB, {slope:+.2f} MB a minute")
+        slope, error = slope_of(memory[memory[:, 0] > min(60.0, 30.0 * minutes)])
+        half = 0.5e3 * min(client._line._pings)[0]
         stops = [stop_takes(client) for _ in range(20)]
-        print(f"from stop() to the gate: median {np.median(stops):.1f} ms, longest {max(stops):.1f} ms (bar: 50)")
+    return [
+        ("states, scans each second", f"{len(stamps) / wall:.1f}, {len(scans) / wall:.1f}", "125, 40"),
+        ("states lost, scans lost", f"{missing[0]} of {len(stamps)}, {missing[1]} of {len(scans)}", "0"),
+        ("messages lost, of any kind", f"{client.lost - lost} of {len(delays)}", "0"),
+        ("under way, median", f"{p50:.2f} ms", "1 ms"),
+        ("under way, 99th percentile", f"{p99:.2f} ms", "5 ms"),
+        ("under way, longest", f"{p100:.1f} ms", ""),
+        ("offset of the clocks", f"known to {half:.2f} ms; the simulation's moved by {np.ptp(offsets):.3f} s", ""),
+        ("server's CPU, all the time", f"{100 * cpu / wall:.0f} % of a core", ""),
+        ("server's memory", f"{memory[-1, 1]:.0f} MB, {slope:+.3f} ± {error:.3f} MB a minute", "flat"),
+        ("from stop() to the gate", f"median {np.median(stops):.1f} ms, longest {max(stops):.1f} ms", "50 ms"),
+    ]
+
+
+def slope_of(memory):
+    """The memory's slope [MB a minute] and its standard error, of means over a twentieth of the time each."""
+    t, y = np.array([part.mean(axis=0) for part in np.array_split(memory, min(20, len(memory)))]).T
+    t = t / 60.0 - t.mean() / 60.0
+    slope = t @ y / (t @ t)
+    rest = y - y.mean() - slope * t
+    return slope, np.sqrt(rest @ rest / max(len(t) - 2, 1) / (t @ t))
+
+
+def told(rows, minutes):
+    """The report: a table in markdown."""
+    head = [
+        f"# A robot over loopback, {minutes:g} minutes\n",
+        f"{os.cpu_count()} CPUs, load {os.getloadavg()[1]:.1f}.\n",
+    ]
+    table = [("what", "measured", "bar"), ("---", "---", "---"), *rows]
+    return "\n".join([*head, *("| " + " | ".join(row) + " |" for row in table)]) + "\n"
 
 
 def stop_takes(client):
@@ -197,6 +228,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--hardware", default="sim")
+    parser.add_argument("--report", type=Path, help="a markdown file for the table")
     parser.add_argument("--dual-trajectory", action="store_true")
     parser.add_argument("--length", type=float, default=2.0)
     parser.add_argument("--seeds", type=int, default=3)
@@ -207,10 +239,12 @@ def main():
         return
     server = Server(options.hardware)
     try:
-        costs(server, min(10.0, 15.0 * options.minutes))
-        ways(server, options.minutes)
+        rows = costs(server, min(10.0, 15.0 * options.minutes)) + ways(server, options.minutes)
     finally:
         server.end()
+    print(told(rows, options.minutes))
+    if options.report is not None:
+        options.report.write_text(told(rows, options.minutes), encoding="utf-8")
 
 
 if __name__ == "__main__":

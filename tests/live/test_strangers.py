@@ -9,8 +9,8 @@ from live_networks import free_port, until
 
 from longreach.errors import LiveError
 from longreach.live import keys, orders
-from longreach.live.door import Door, Refusals, Refused
 from longreach.live.attachment import attach, authentication
+from longreach.live.door import Door, Refusals, Refused
 from longreach.live.keys import TYPES
 from longreach.live.link import open_client, open_server
 
