@@ -41,8 +41,11 @@ class Server:
         command = [sys.executable, "-m", "longreach", "serve", "--hardware", hardware, "--address", _ADDRESS, *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         atexit.register(self.process.kill)
+
+    def ready(self):
         while "Serving" not in self.process.stdout.readline():
             assert self.process.poll() is None
+        return self
 
     def cpu(self):
         """What it has computed so far [s]."""
@@ -168,34 +171,36 @@ def stop_takes(client):
 def dual_trajectory(length, seeds):
     """The tool's error of the experiment, driven through a server and in one process, RMS [mm], of some seeds.
 
-    In one process the same simulation stands for as long as it stood on the server before the plan came; and, for
-    comparison, the experiment as `longreach run` does it, which begins at once.
+    In one process the same simulation stands for as long as it stood on the server before the plan came. For comparison
+    the experiment as `longreach run` does it, which begins at once: another stretch of the same noise.
     """
-    config, thing = DualTrajectoryConfig(length=length), lr.load_robot("thing")
-    _, plan = planned(thing, config)
-    both = []
+    config, thing, errors = DualTrajectoryConfig(length=length), lr.load_robot("thing"), []
+    prompt()
     for seed in range(seeds):
         settings = config.execution(seed, "closed")
         server, states = Server("sim", "--world", settings.world, "--seed", str(seed)), []
+        _, plan = planned(thing, config)
+        server.ready()
         with lr.connect(_ADDRESS) as client:
             client.on_state(states.append)
             client.execute(plan)
         server.end()
         began = next(state.stamp for state in states if state.goal == "follow")
-        both.append((tool_error(thing, states), in_one_process(thing, plan, settings.world, seed, began)))
         at_once = tool_metrics(execute(thing, plan, settings).traces)["tool_error"]["value"]
-        mm = 1e3 * np.array([*both[-1], at_once])
+        errors.append(
+            1e3 * np.array([tool_error(thing, states), in_one_process(thing, plan, settings, began), at_once])
+        )
         stopped = sum(bool(state.stop) for state in states)
         if stopped:
-            print(f"the client was late and the robot waited for {stopped} ticks: compare on a machine with less to do")
-        print("seed {}: {:.3f} mm through the network, {:.3f} in one process, {:.3f} at once".format(seed, *mm))
-    through, alone = np.sqrt(np.mean(np.square(both), axis=0))
-    print(f"ratio {through / alone:.3f} (bar: within 10 %)")
+            print(f"the robot waited for its client for {stopped} ticks: compare on a machine with less to do")
+        print("seed {}: {:.3f} mm through the network, {:.3f} in one process, {:.3f} at once".format(seed, *errors[-1]))
+    through, alone, at_once = np.sqrt(np.mean(np.square(errors), axis=0))
+    print(f"ratio {through / alone:.4f} (bar: within 10 %); to where it begins at once {through / at_once:.3f}")
 
 
-def in_one_process(thing, plan, world, seed, began):
+def in_one_process(thing, plan, settings, began):
     """The tool's error [m] where the plan comes at the same time, and nothing goes over a network."""
-    body, states = simulated("sim", thing, world, seed), []
+    body, states = simulated("sim", thing, settings.world, settings.seed), []
 
     def take(now):
         return Orders(goal=Follow(plan, -0.3) if abs(now - began) < 1e-6 else None)
@@ -237,7 +242,7 @@ def main():
     if options.dual_trajectory:
         dual_trajectory(options.length, options.seeds)
         return
-    server = Server(options.hardware)
+    server = Server(options.hardware).ready()
     try:
         rows = costs(server, min(10.0, 15.0 * options.minutes)) + ways(server, options.minutes)
     finally:
