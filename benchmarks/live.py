@@ -24,10 +24,11 @@ from longreach.app import robot_side
 from longreach.app.dual_trajectory import DualTrajectoryConfig, planned
 from longreach.app.execution import execute
 from longreach.app.goals import Follow
+from longreach.app.operated import simulated
 from longreach.app.robot_side import Orders
 from longreach.evaluation.execution import tool_metrics
 from longreach.live.promptness import prompt
-from longreach.live.serving import simulated, tracker_config
+from longreach.live.serving import tracker_config
 
 _WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
 _ADDRESS = f"127.0.0.1:{20000 + os.getpid() % 20000}"

@@ -9,13 +9,14 @@ from live_networks import until
 import longreach as lr
 from longreach.app import robot_side
 from longreach.app.goals import Follow
+from longreach.app.operated import simulated
 from longreach.app.robot_side import Orders
 from longreach.cli.main import main
 from longreach.control.hardware import Hardware
 from longreach.errors import LiveError, PlanningError
 from longreach.live import keys
 from longreach.live.link import open_client
-from longreach.live.serving import simulated, tracker_config
+from longreach.live.serving import tracker_config
 
 
 @pytest.fixture

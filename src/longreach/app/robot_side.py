@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.app import tracker
-from longreach.app.goals import Direct, Goal, Hold
+from longreach.app.goals import Direct, Follow, Goal, Hold
 from longreach.app.tracker import Tick, TrackerConfig, TrackerState
 from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
@@ -23,6 +23,7 @@ from longreach.geometry import se2
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _FORGOTTEN = 2.0  # a client that is gone for so long is not waited for [s]; ours
+_THERE, _LATE = 0.005, 3.0  # so near is a plan's end reached [rad, m], and so long is it waited for at most [s]; ours
 
 
 class Orders(NamedTuple):
@@ -84,7 +85,15 @@ def _carried_on(state: TrackerState, orders: Orders, now: float) -> Goal:
     if isinstance(goal, Direct):
         fresh = now - goal.stamp <= state.config.safety.command_timeout
         return goal._replace(command=None) if fresh else Hold()
-    return Hold() if state.ended else goal
+    return Hold() if state.ended and _arrived(state, goal, now) else goal
+
+
+def _arrived(state: TrackerState, goal: Goal, now: float) -> bool:
+    """Whether the robot is where its plan has ended, or has had the time to get there: a slow machine lags behind."""
+    if not isinstance(goal, Follow) or goal.at > goal.plan.duration + state.config.after + _LATE:
+        return True
+    pose = state.localizer.belief(now).pose[: state.robot.base.stop]
+    return bool(np.abs(np.concatenate([pose, state.arm]) - goal.plan.q[-1]).max() < _THERE)
 
 
 def run(

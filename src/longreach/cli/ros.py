@@ -59,13 +59,12 @@ def robot(
     config: Path | None = typer.Option(None, help="YAML file with the node's settings: topics, controller, safety."),
 ) -> None:
     """Simulate a robot behind the topics of the thesis': sensors out, /cmd_vel and a trajectory action in."""
+    from longreach.app.operated import simulated
     from longreach.app.warmup import warm_up
     from longreach.io.config import read_config
     from longreach.io.robots import load_robot
     from longreach.ros.robot import RobotConfig, run
     from longreach.ros.sensors import with_topics
-    from longreach.sim.kinematic_robot import KinematicRobot
-    from longreach.sim.physics import Simulation
 
     _check(context)
     loaded = load_robot(robot)
@@ -73,7 +72,7 @@ def robot(
     settings = read_config(config, RobotConfig) if config is not None else RobotConfig()
     with shown_progress() as progress:
         warm_up(progress, "estimation", "control", "sim")
-    run(loaded, (Simulation if physics else KinematicRobot)(loaded, world, seed=seed), settings)
+    run(loaded, simulated("sim" if physics else "kinematic", loaded, world, seed), settings)
 
 
 @app.command()

@@ -6,6 +6,8 @@ from typing import Any
 
 import typer
 
+_PATIENCE = 60.0  # with a ROS robot that is started at the same time [s]
+
 
 def command(
     robot: str = typer.Option("thing", help="A robot's name, or a YAML file of your own."),
@@ -18,7 +20,7 @@ def command(
         "laboratory", help="Of a simulated robot: laboratory, office, corridor, … or a YAML file."
     ),
     seed: int = typer.Option(0, help="Seed of everything random in a simulation."),
-    scans: bool = typer.Option(True, help="Whether a kinematic robot has its laser."),
+    scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
     duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
@@ -73,9 +75,9 @@ def _hardware(kind: str, robot: Any, world: str, seed: int, scans: bool) -> tupl
     if kind == "ros":
         from longreach.ros.hardware import connect_ros
 
-        body = connect_ros(robot)
-        return body, body.wait_until, robot.description.lidar is not None
-    from longreach.live.serving import simulated
+        body = connect_ros(robot, scans=scans, timeout=_PATIENCE)
+        return body, body.wait_until, scans and robot.description.lidar is not None
+    from longreach.app.operated import simulated
 
     return simulated(kind, robot, world, seed, scans), None, scans or kind == "sim"
 

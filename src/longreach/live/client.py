@@ -278,8 +278,7 @@ class Client:
     def release(self) -> None:
         """Let go of the robot; it stands until somebody takes it."""
         if self._line.holds:
-            self._line.holds = False
-            self._line.order("release")
+            self._line.release()
 
     def close(self) -> None:
         """Release the robot and hang up."""

@@ -106,6 +106,13 @@ class Line:
             self.holds = False
             raise
 
+    def release(self) -> None:
+        """Let go of the robot, and give no more signs of life."""
+        self.holds = False
+        if self._pulse is not None:
+            self._pulse.rest()
+        self.order("release")
+
     def order(self, words: str) -> str:
         """Ask for what a few words say."""
         return self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](words))

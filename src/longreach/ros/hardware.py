@@ -41,6 +41,7 @@ def connect_ros(
     arm: ArmInterface = "velocity",
     controller: str | None = None,
     base: str = "/cmd_vel",
+    scans: bool = True,
     timeout: float = 10.0,
 ) -> "RosHardware":
     """Become a node and connect to a robot, whose sensors are on the topics that its description names.
@@ -50,16 +51,16 @@ def connect_ros(
             controllers take it; or trajectory, on CONTROLLER/command as its joint trajectory controller takes it, each
             ending at rest, so that the arm stops by itself where nothing follows.
         controller: None: /arm_velocity_controller, /arm_position_controller or /arm_controller.
-        base: topic of the base's twists. timeout: how long a master, the joints and whoever takes commands are waited
-            for, each [s].
+        base: topic of the base's twists. scans: whether it has its laser, where its description has one.
+        timeout: for how long a master, the sensors and whoever takes commands are waited for, each [s].
 
     Raises:
-        LiveError: rospy is not there, no master answers, the robot does not say where its joints are, or nobody takes
-            commands.
+        LiveError: rospy is not there, no master answers, the robot does not say where its joints are or what it sees,
+            or nobody takes commands.
     """
     wire.start_node("longreach_hardware", timeout)
     hardware = RosHardware(robot, arm, controller or _CONTROLLERS[arm], base)
-    hardware.wait(timeout)
+    hardware.wait(timeout, scans and robot.description.lidar is not None)
     return hardware
 
 
@@ -91,7 +92,7 @@ class RosHardware:
         """What the robot can do: as its description says."""
         return self._promises
 
-    def wait(self, timeout: float) -> None:
+    def wait(self, timeout: float, scans: bool) -> None:
         """Wait until the robot speaks and listens [at most `timeout` s].
 
         Raises:
@@ -101,6 +102,7 @@ class RosHardware:
         role: Role = "joints" if self._arm is not None else "wheels"
         for ready, what in (
             (lambda: self._sensors.speaks(role), f"says where its {role} are on {self._sensors.topic(role)}"),
+            (lambda: not scans or self._sensors.speaks("lidar"), f"sends scans on {self._sensors.topic('lidar')}"),
             (lambda: all(p.listeners for p in commanded), f"listens on {' and '.join(p.topic for p in commanded)}"),
         ):
             if not _within(timeout, ready):
