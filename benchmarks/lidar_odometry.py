@@ -1,6 +1,6 @@
 """LIDAR odometry against keyframes: accuracy, consistency and time on made scans with exact truth, beside the bars.
 
-    python benchmarks/lidar_odometry.py --bench FOLDER [--seeds N] [--sets NAME ...] [--all]
+    python benchmarks/lidar_odometry.py --bench FOLDER [--seeds N] [--sets NAME ...] [--all] [--method METHOD]
 
 FOLDER holds scan_sim.py, which makes the scans: 60 s each, 270°. ATE: RMSE of the positions after the best rigid
 alignment; yaw: RMS of the heading after the same (still: without, as one place tells no rotation). Both are medians
@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import lidar, range_flow
 from longreach.odometry.chain import chain
+from longreach.odometry.lidar_config import LidarConfig, Method
 from longreach.trajectory import PoseTrajectory
 
 Matches = list[RelativePoseMeasurement]
@@ -121,12 +122,12 @@ def corridor(p: PoseTrajectory, truth: np.ndarray) -> tuple[float, float, float,
     )
 
 
-def measure(simulator: Path, name: str, s: Set, seeds: int) -> bool:
+def measure(simulator: Path, name: str, s: Set, seeds: int, config: LidarConfig) -> bool:
     """Print a set's lines; return whether all its bars are met."""
     runs, squares, lost = [], [], 0
     for seed in range(1, seeds + 1):
         scans, T, truth = made(simulator, s, seed)
-        found, p, took = run(lidar.lidar_odometry, scans, T)
+        found, p, took = run(lambda some, at: lidar.lidar_odometry(some, at, config), scans, T)
         _, other, took_other = run(range_flow.lidar_odometry, scans, T)
         flow = errors(other.poses, truth, s.kind == "still")[0]
         runs.append((took, took_other, flow, *errors(p.poses, truth, s.kind == "still"), *corridor(p, truth)))
@@ -155,10 +156,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--sets", nargs="+", choices=[*SETS, *MORE])
     parser.add_argument("--all", action="store_true", help="the sets at 10 Hz, too")
+    parser.add_argument("--method", default=LidarConfig().method, choices=get_args(Method))
     given = parser.parse_args()
+    config = LidarConfig(method=given.method)
     known = SETS | MORE
     names = given.sets or (known if given.all else SETS)
-    sys.exit(not all([measure(given.bench / "scan_sim.py", name, known[name], given.seeds) for name in names]))
+    sys.exit(not all([measure(given.bench / "scan_sim.py", name, known[name], given.seeds, config) for name in names]))
 
 
 if __name__ == "__main__":

@@ -3,16 +3,16 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
-from longreach.odometry import _match_kernels
-from longreach.odometry.point_to_line import Fit, Lines, Points, fit, flow_guess, lines_of, points_of
+from longreach.odometry import point_to_line, range_flow, symmetric_flow
+from longreach.odometry.lidar_config import LidarConfig
+from longreach.odometry.point_to_line import Lines
+from longreach.odometry.scan_fit import Fit, Points, flow_guess
 from longreach.odometry.scan_geometry import (
     FEWEST_BEAMS,
     ScanGeometry,
@@ -22,6 +22,9 @@ from longreach.odometry.scan_geometry import (
     share_of_a_beam,
 )
 from longreach.odometry.scan_match import ScanMatch
+from longreach.odometry.symmetric_flow import Keyscan
+
+__all__ = ["LidarConfig", "LidarState", "Reference", "init", "lidar_odometry", "step"]
 
 _FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
@@ -30,52 +33,19 @@ _LEAST_SUPPORT = 0.1  # share of points that agree below which there is no match
 _LOST = 2  # scans without a match, after which the next one becomes a keyframe
 
 
-class LidarConfig(BaseModel):
-    """Parameters of LIDAR odometry; the defaults serve 180 to 1081 beams at 5 to 40 Hz."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    iterations: int = Field(default=20, ge=1, le=100, description="Linearisations a match at most [1].")
-    gate: float = Field(default=4.0, gt=1, description="Residuals beyond this many deviations take no part [1].")
-    grazing: float = Field(
-        default=0.2, gt=0, description="Of the noise that a wall along the beam still sees; footprint of the beam [1]."
-    )
-    worst: float = Field(default=4.0, gt=0, description="Scatter of the residuals at most, in noises of a range [1].")
-    doubt: float = Field(default=0.1, gt=0, description="Deviation of a guess [m, rad], and 0.3 of the motion.")
-    known: float = Field(default=15.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
-    common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
-    distance: float = Field(default=0.7, gt=0, description="From a keyframe to the next [m]; ours.")
-    angle: float = Field(default=0.6, gt=0, description="From a keyframe to the next [rad]; ours.")
-    overlap: float = Field(default=0.6, gt=0, lt=1, description="Beams that a keyframe explains at least [1]; ours.")
-    speed: float = Field(default=1.0, gt=0, description="What a base may drive where scans do not tell [m/s].")
-    turn: float = Field(default=1.0, gt=0, description="What a base may turn where scans do not tell [rad/s].")
-
-    @cached_property
-    def lines(self) -> _match_kernels.LineSettings:
-        """The same as the kernels take it."""
-        return _match_kernels.LineSettings(
-            iterations=self.iterations,
-            gate=self.gate,
-            grazing=self.grazing,
-            worst=self.worst,
-            agree=1.0,
-            known=self.known,
-            common=self.common,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A keyframe of one kind of scans: when it was, its lines, the last scan, and where that was (3,) seen from it.
+    """A keyframe of one kind of scans: when it was, what scans are matched to, the last scan, and where that was.
 
-    lost: scans since the last match.
+    pose (3,), covariance (3, 3): of the base at the last scan, seen from there. lost: scans since the last match.
     """
 
     stamp: float
     geometry: ScanGeometry
-    lines: Lines
+    lines: Lines | Keyscan
     last: Points
     pose: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
     lost: int = 0
 
 
@@ -84,6 +54,7 @@ class LidarState:
     """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean.
 
     told: when a scan last told all directions, or the first one was. guided: the mean of what guides told (3,).
+    flow: what range flow from scan to scan goes on from.
     """
 
     config: LidarConfig
@@ -93,6 +64,7 @@ class LidarState:
     told: float = math.inf
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
     guided: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    flow: range_flow.RangeFlowState | None = None
 
 
 def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
@@ -115,6 +87,8 @@ def step(
     if len(scan.ranges) < FEWEST_BEAMS:
         reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
+    if state.config.method == "range-flow":
+        return _flowed(state, scan)
     period = scan.stamp - state.stamp
     if guide is not None and not np.isfinite(guide).all():
         guide = None
@@ -148,8 +122,14 @@ def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np
     def from_guess(moved: np.ndarray) -> Fit:
         far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
         doubt = config.doubt + 0.3 * np.array([far, far, turned])
-        guess = se2.compose(reference.pose, moved)
-        return fit(points, reference.lines, reference.geometry, config.lines, guess, doubt, free)
+        guess, geometry = se2.compose(reference.pose, moved), reference.geometry
+        if isinstance(reference.lines, Lines):
+            return point_to_line.fit(points, reference.lines, geometry, config.lines, guess, doubt, free)
+        assert isinstance(points, Keyscan)
+        assert isinstance(reference.last, Keyscan)
+        key, last, seen = reference.lines, reference.last, (reference.pose, reference.covariance)
+        three = config.method == "three-scan-flow" and last is not key
+        return symmetric_flow.fit(points, key, last, seen, three, geometry, guess, doubt, free)
 
     found = from_guess(moved)
     if found.support < _DOUBTFUL and points.count >= _FEWEST_ROWS:
@@ -186,7 +166,8 @@ def _points(
         if guide is not None:
             motion = motion + _mean(state.guided, se2.log(guide), period) - state.guided
         motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
-    return points_of(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
+    make = point_to_line.points_of if state.config.method == "point-to-line" else symmetric_flow.keyscan_of
+    return make(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
 
 
 def _wrong(found: Fit, points: Points) -> str:
@@ -216,7 +197,8 @@ def _restarted(
     )
     old = None if place is None else state.references[place]
     noise = math.inf if old is None else 1.2 * old.lines.noise
-    new = Reference(scan.stamp, geometry, lines_of(points, geometry, noise), points, np.zeros(3))
+    lines = points if isinstance(points, Keyscan) else point_to_line.lines_of(points, geometry, noise)
+    new = Reference(scan.stamp, geometry, lines, points, np.zeros(3), np.zeros((3, 3)))
     return replace(state, references=(*others, new), stamp=scan.stamp)
 
 
@@ -243,8 +225,7 @@ def _matched(
         reference.stamp, scan.stamp, found.pose, found.covariance, source="lidar", shared_covariance=found.shared
     )
     keyframe = bool(
-        math.hypot(found.pose[0], found.pose[1]) > config.distance
-        or abs(found.pose[2]) > config.angle
+        _is_far(config, found.pose, points)
         or found.rows < config.overlap * min(points.count, reference.lines.count)
         or (len(found.directions) and config.speed * (scan.stamp - reference.stamp) > 2.0 * config.distance)
     )
@@ -255,7 +236,7 @@ def _matched(
         references = _restarted(state, scan, reference.geometry, points, moved, place).references
     else:
         references = tuple(
-            replace(known, pose=found.pose, last=points, lost=0)
+            replace(known, pose=found.pose, covariance=found.covariance, last=points, lost=0)
             if i == place
             else replace(known, pose=se2.compose(known.pose, moved))
             for i, known in enumerate(state.references)
@@ -263,6 +244,24 @@ def _matched(
     state = LidarState(config, state.T_base_laser, references, scan.stamp, told, motion, state.guided)
     match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
     return state, match
+
+
+def _is_far(config: LidarConfig, pose: np.ndarray, points: Points) -> bool:
+    """Whether a pose (3,) is so far from the keyframe that there has to be a new one."""
+    if isinstance(points, Keyscan):
+        return symmetric_flow.is_far(pose, points.xyr.shape[1])
+    return bool(math.hypot(pose[0], pose[1]) > config.distance or abs(pose[2]) > config.angle)
+
+
+def _flowed(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanMatch]:
+    """Match a scan to the last one by range flow: every scan is a keyframe."""
+    settings, mount = range_flow.RangeFlowConfig(), state.T_base_laser
+    if state.flow is None:
+        flow, match = range_flow.init(scan, mount, settings), ScanMatch(scan.stamp, None, "the scan is the first", 0)
+    else:
+        flow, match = range_flow.step(state.flow, scan, mount, settings)
+    pose = None if match.measurement is None else match.measurement.pose
+    return replace(state, flow=flow, stamp=scan.stamp), replace(match, keyframe=True, motion=pose)
 
 
 def lidar_odometry(
