@@ -58,3 +58,12 @@ def test_a_stop_holds_a_ros_robot_until_the_reset(client):
     assert client.state.latched
     client.reset()
     until(lambda: client.state.stop != "for the test")
+
+
+def test_the_fingers_of_a_ros_robot_close_by_its_gripper_action(client):
+    assert client.promises.gripper
+    before = client.state.joints["finger_a_joint_1"]
+    client.gripper(0.5)
+    until(lambda: client.state.joints["finger_a_joint_1"] - before > 0.2)
+    client.gripper(0.0)
+    until(lambda: client.state.joints["finger_a_joint_1"] < before + 0.05)

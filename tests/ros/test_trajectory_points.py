@@ -67,5 +67,12 @@ def test_the_types_of_the_action_are_those_of_control_msgs():
         "ActionResult": "c4fb3b000dc9da4fd99699380efcc5d9",
         "ActionFeedback": "d8920dc4eae9fc107e00999cce4be641",
     }
+    gripper = {
+        "ActionGoal": "aa581f648a35ed681db2ec0bf7a82bea",
+        "ActionResult": "143702cb2df0f163c5283cedc5efc6b6",
+        "ActionFeedback": "653dff30c045f5e6ff3feb3409f4558d",
+    }
+    for kind, md5 in gripper.items():
+        assert wire.store().generate_msgdef(f"control_msgs/msg/GripperCommand{kind}", ros_version=1)[1] == md5
     for kind, md5 in known.items():
         assert wire.store().generate_msgdef(f"control_msgs/msg/FollowJointTrajectory{kind}", ros_version=1)[1] == md5

@@ -3,7 +3,7 @@
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from longreach.live.link import open_server, zenoh
 from longreach.live.listener import Listener
 from longreach.live.recorder import Recorder
 from longreach.live.ros_graph import announced
+from longreach.measurement import JointState
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
 
@@ -63,6 +64,7 @@ class Server:
         self._senders = {topic: secrets.token_bytes(16) for topic in streams}  # each publisher is told apart, as in ROS
         self._numbers = dict.fromkeys(streams, 0)
         self._moment: Moment | None = None
+        self._joints: tuple[JointState, ...] = ()
         self._published = time.monotonic()
         self._progress, self._plans = 0.0, 0
         self._status, self._status_due, self._frames_due = "", 0.0, 0.0
@@ -106,6 +108,10 @@ class Server:
         """Say what one tick knew and did."""
         if self._moment is None:
             self._say(keys.TF_STATIC, telling.static_frames(self._robot, moment.tick.stamp), moment.tick.stamp)
+        if moment.readings.joints:
+            self._joints = moment.readings.joints[-1:]
+        else:  # what only these tell, where the fingers are, is said at each tick all the same
+            moment = moment._replace(readings=replace(moment.readings, joints=self._joints))
         self._moment, self._published = moment, time.monotonic()
         now, truth = moment.tick.stamp, None if self._truth is None else self._truth()
         if isinstance(moment.state.goal, Follow):

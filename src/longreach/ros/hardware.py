@@ -13,10 +13,13 @@ from longreach.control.hardware import ArmMode, Command, Promises, Readings, pro
 from longreach.control.safety_checks import places
 from longreach.errors import ControlError, LiveError
 from longreach.io import messages
+from longreach.measurement import GripperState
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.ros import wire
 from longreach.ros.commands import BOOL, EMERGENCY_STOP, NUMBERS, TWIST
+from longreach.ros.gripper_action import closing_angle, goal_message, goal_of, publisher
 from longreach.ros.sensors import Role, Sensors
+from longreach.sim.places import Hand
 
 ArmInterface = Literal["velocity", "position", "trajectory"]
 _ROLES: tuple[Role, ...] = ("wheels", "lidar", "imu", "joints", "wrench")
@@ -71,7 +74,8 @@ class RosHardware:
     """
 
     def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
-        self._promises = replace(promises_of(robot), arm_modes=_MODES[arm])
+        self._hand, self._angle = Hand.of(robot), closing_angle(robot)
+        self._promises = replace(promises_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
         self._interface: ArmInterface = arm
         self._sensors = Sensors(robot.description, _ROLES)
         self._q: np.ndarray | None = None
@@ -82,6 +86,7 @@ class RosHardware:
         kind = _TRAJECTORY if arm == "trajectory" else NUMBERS
         self._arm = wire.Publisher(f"{controller}/command", kind) if self._promises.arm_names else None
         self._base = None if self._promises.base_velocity is None else wire.Publisher(base, TWIST)
+        self._fingers = publisher() if self._promises.gripper else None
         self._cancel = wire.Publisher(f"{controller}/follow_joint_trajectory/cancel", "actionlib_msgs/msg/GoalID")
         wire.before_the_end(lambda: self.stop("The process ends."))
         self._closed = threading.Event()
@@ -117,7 +122,16 @@ class RosHardware:
             if where is not None and np.isfinite(record.position[where]).all():
                 self._q = record.position[where]
                 break
-        return readings
+        return replace(readings, gripper=self._gripped(readings))
+
+    def _gripped(self, readings: Readings) -> GripperState | None:
+        """Return how far the fingers are closed, where their joints were told."""
+        for record in reversed(readings.joints):
+            where = places(record.names, self._hand.names)
+            if self._promises.gripper and where is not None and len(record.velocity) == len(record.names):
+                closed, speed = (float(self._hand.share @ x[where]) for x in (record.position, record.velocity))
+                return GripperState(record.stamp, closed, speed)
+        return None
 
     def write(self, command: Command) -> None:
         """Send a command; after a stop none is sent.
@@ -137,6 +151,8 @@ class RosHardware:
                 return
             self._written = time.monotonic()
             self._send(command.base, command.arm, command.arm_mode)
+            if command.gripper is not None and self._fingers is not None:
+                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle)))
 
     def stop(self, reason: str) -> None:
         """Cancel whatever moves the arm, and let base and arm stand."""

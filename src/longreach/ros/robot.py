@@ -22,6 +22,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.ros import wire
 from longreach.ros.commands import Commands
 from longreach.ros.diagnostics import status
+from longreach.ros.gripper_action import GripperAction, closing_angle
 from longreach.ros.robot_topics import Topics
 from longreach.ros.trajectory_action import TrajectoryAction
 from longreach.sim.simulated import Simulated
@@ -87,6 +88,8 @@ class _Node:
         self._gate: SafetyState = safety.init(limits_of(promises, config.safety), simulation.stamp)
         self._commands = Commands(config.base, len(self._names))
         self._action = TrajectoryAction(config.controller, promises, config.trajectory)
+        angle = closing_angle(robot)
+        self._gripper = GripperAction(angle, simulation.stamp) if angle else None
         self._topics = Topics(robot.description, config.odometry)
         self._diagnostics, self._told = wire.Publisher("/diagnostics", _ARRAY), 0.0
         self._arm: _Arm | None = None
@@ -114,7 +117,7 @@ class _Node:
             self._tell(now)
 
     def _wish(self, readings: Readings, now: float) -> Command | None:
-        """Return what base and arm are told, the arm by what came last: numbers or a trajectory."""
+        """Return what base, arm and fingers are told, the arm by what came last: numbers or a trajectory."""
         self._arm = self._measured(readings) or self._arm
         base, arm = self._commands.take()
         if arm is not None:
@@ -128,10 +131,14 @@ class _Node:
             velocities = self._action.step(measured, now, stopped)
         if arm is None and velocities is not None:
             arm = "velocity", velocities
-        if base is None and arm is None:
+        fingers = None if self._gripper is None else self._gripper.step(readings.gripper, now)
+        if base is None and arm is None and fingers is None:
             return None
         mode, numbers = arm or ("velocity", None)
-        return Command(now, numbers, mode, base)
+        if fingers is not None and self._gate.stop is not None and self._gate.stop.cause == "silence":
+            base = np.zeros(3) if base is None else base  # that the fingers are told something is no silence
+            numbers = np.zeros(len(self._names)) if numbers is None else numbers
+        return Command(now, numbers, mode, base, fingers)
 
     def _measured(self, readings: Readings) -> _Arm | None:
         for record in reversed(readings.joints):

@@ -30,6 +30,7 @@ _QUEUE = 1000  # messages that wait for a slow listener; a scan takes 4 kB
 _FAREWELL = 0.05  # [s] for the last messages to leave
 
 # control_msgs and actionlib's part of it, which Debian has not: the fields as their packages name them.
+_GRIPPED = "float64 position\nfloat64 effort\nbool stalled\nbool reached_goal"
 _ACTION = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "control_msgs/msg/JointTolerance": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration",
@@ -55,12 +56,25 @@ _ACTION = {
     "control_msgs/msg/FollowJointTrajectoryActionFeedback": (
         "Header header\nactionlib_msgs/GoalStatus status\nFollowJointTrajectoryFeedback feedback"
     ),
+    "control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_effort",
+    "control_msgs/msg/GripperCommandGoal": "GripperCommand command",
+    "control_msgs/msg/GripperCommandResult": _GRIPPED,
+    "control_msgs/msg/GripperCommandFeedback": _GRIPPED,
+    "control_msgs/msg/GripperCommandActionGoal": (
+        "Header header\nactionlib_msgs/GoalID goal_id\nGripperCommandGoal goal"
+    ),
+    "control_msgs/msg/GripperCommandActionResult": (
+        "Header header\nactionlib_msgs/GoalStatus status\nGripperCommandResult result"
+    ),
+    "control_msgs/msg/GripperCommandActionFeedback": (
+        "Header header\nactionlib_msgs/GoalStatus status\nGripperCommandFeedback feedback"
+    ),
 }
 
 
 @cache
 def store() -> Any:
-    """Return the types of ROS 1 messages, those of trajectory actions among them."""
+    """Return the types of ROS 1 messages, those of the actions of arm and gripper among them."""
     types = get_typestore(Stores.ROS1_NOETIC)
     for name, definition in _ACTION.items():
         types.register(get_types_from_msg(definition, name))
