@@ -11,6 +11,7 @@ from joblib import Parallel, delayed
 import longreach
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
+from longreach.app.operated import simulated
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
 from longreach.control.hardware import Command
@@ -19,6 +20,7 @@ from longreach.estimation.spatial import estimate_in_space
 from longreach.io.config import load_description
 from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
+from longreach.odometry.lidar import lidar_odometry
 from longreach.planning.inverse_kinematics import all_solutions, solve_ik
 from longreach.planning.obstacles import Disc
 from longreach.planning.planner import plan
@@ -27,10 +29,8 @@ from longreach.planning.terms_clearance import base_clearance
 from longreach.planning.thesis_problem import thesis_problem
 from longreach.robot.manipulability import manipulability
 from longreach.sim.kinematic import make_recording
-from longreach.sim.kinematic_config import KinematicConfig
 from longreach.sim.kinematic_robot import KinematicRobot
 from longreach.sim.monte_carlo import drive_many
-from longreach.sim.physics import Simulation
 from longreach.sim.simulated import Simulated
 from longreach.spatial_measurement import SpatialRecording, TwistReading
 from longreach.spatial_settings import SensorSettings, SpatialSettings
@@ -46,7 +46,7 @@ def warm_up(progress: Progress | None = None, *rooms: str) -> Path:
     """
     tell = progress or (lambda stage, fraction: None)
     version = _version()
-    marks = {room: cache_root() / f"warm-{room}-{version}" for room in rooms or tuple(ROOMS)}
+    marks = {room: cache_root() / f"warm-{room}-{version}" for room in rooms or ALL}
     cold = [room for room, mark in marks.items() if not mark.is_file()]
     if not cold:
         return cache_root()
@@ -74,7 +74,13 @@ def _version() -> str:
 def _estimation() -> None:
     thing = load_description("thing")
     recording = make_recording(thing, duration=1.0, lidar_rate=10.0, beams=90)
+    estimate(recording, thing, EstimateConfig(sources=("wheels", "imu")))  # while another process may compile _scans
     estimate(recording, thing, EstimateConfig())
+
+
+def _scans() -> None:
+    recording = make_recording(load_description("thing"), duration=1.0, lidar_rate=10.0, beams=90)
+    lidar_odometry(recording.scans, recording.mounts[recording.scans[0].frame])
 
 
 def _kinematics() -> None:
@@ -128,20 +134,28 @@ def _control() -> None:
 
 
 def _sim() -> None:
-    thing, still = load_robot("thing"), np.zeros((1, 1, 3))
-    drive_many(thing, still)
-    robots: list[Simulated] = [
-        KinematicRobot(thing, config=KinematicConfig(present=("wheels", "imu", "joints", "lidar")))
-    ]
+    drive_many(load_robot("thing"), np.zeros((1, 1, 3)))
+    _kinematic()
+    _physics()
+
+
+def _kinematic() -> None:
+    _let_live(simulated("kinematic", load_robot("thing"), "laboratory", 0))
+
+
+def _physics() -> None:
     with suppress(ConfigError):  # MuJoCo need not be installed
-        robots.append(Simulation(thing))
-    for robot in robots:
-        robot.write(Command(0.0, np.zeros(6), base=np.zeros(3)))
-        robot.advance(0.06)
-        robot.read()
+        _let_live(simulated("sim", load_robot("thing"), "laboratory", 0))
+
+
+def _let_live(robot: Simulated) -> None:
+    robot.write(Command(0.0, np.zeros(6), base=np.zeros(3)))
+    robot.advance(0.06)
+    robot.read()
 
 
 ROOMS: Mapping[str, Callable[[], None]] = {
+    "scans": _scans,
     "estimation": _estimation,
     "estimation in space": _space,
     "kinematics": _kinematics,
@@ -149,4 +163,7 @@ ROOMS: Mapping[str, Callable[[], None]] = {
     "sqp": _sqp,
     "control": _control,
     "sim": _sim,
+    "kinematic": _kinematic,
+    "physics": _physics,
 }
+ALL = tuple(room for room in ROOMS if room not in ("kinematic", "physics"))  # those are parts of sim

@@ -71,7 +71,7 @@ def robot(
     loaded = replace(loaded, description=with_topics(loaded.description, topic))
     settings = read_config(config, RobotConfig) if config is not None else RobotConfig()
     with shown_progress() as progress:
-        warm_up(progress, "estimation", "control", "sim")
+        warm_up(progress, "control", "physics" if physics else "kinematic")
     run(loaded, simulated("sim" if physics else "kinematic", loaded, world, seed), settings)
 
 

@@ -27,6 +27,7 @@ def command(
     import logging
     import sys
 
+    from longreach.app.operated import SIMULATED
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.io.robots import load_robot
@@ -40,9 +41,10 @@ def command(
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
     loaded, config, refusals = load_robot(robot), ServerConfig(address, token, certificates), Refusals()
     with shown_progress() as progress:
-        warm_up(progress, "estimation", "kinematics", "control", "sim")
+        kind = hardware if hardware in SIMULATED else "kinematic"
+        warm_up(progress, "estimation", "scans", "physics" if kind == "sim" else kind)
         progress("rehearsing", 0.0)
-        rehearse(loaded)
+        rehearse(loaded, kind)
     body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
     prompt()
 

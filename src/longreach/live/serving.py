@@ -44,10 +44,10 @@ def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = T
     )
 
 
-def rehearse(robot: MobileManipulator) -> None:
+def rehearse(robot: MobileManipulator, kind: str = "kinematic") -> None:
     """Do all that the loop does, on a robot that only pretends, so that no tick has to load or compile anything."""
     with suppress(ConfigError):  # it cannot be simulated
-        body = simulated("kinematic", robot, "laboratory", 0)
+        body = simulated(kind, robot, "laboratory", 0)
         still = ConfigurationTrajectory(np.array([0.0, 0.1]), np.stack([robot.home, robot.home]))
         goals = iter([Follow(still, 0.0), Reach(robot.forward(robot.home)), Direct(Command(0.0, np.zeros(6)), 0.0)])
         moments: list[robot_side.Moment] = []
