@@ -31,6 +31,18 @@ from longreach.live.promptness import prompt
 from longreach.live.serving import tracker_config
 
 _WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
+# How late a process that only sleeps is woken, p50 and p99 [ms]: below that no message can be received either.
+_SLEEP = """
+import sys, time, threading
+late, ended = [], []
+threading.Thread(target=lambda: ended.append(sys.stdin.read()), daemon=True).start()
+while not ended:
+    began = time.perf_counter()
+    time.sleep(0.02)
+    late.append(1e3 * (time.perf_counter() - began) - 20.0)
+late.sort()
+print(late[len(late) // 2], late[int(0.99 * len(late))])
+"""
 _ADDRESS = f"127.0.0.1:{20000 + os.getpid() % 20000}"
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -104,6 +116,9 @@ def ways(server, minutes):
         lost, delays = client.lost, []
         client.on_state(lambda state: stamps.append(state.stamp))
         client.on_scan(lambda scan: scans.append(scan.stamp))
+        sleeper = subprocess.Popen(
+            [sys.executable, "-c", _SLEEP], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         began, cpu = time.monotonic(), server.cpu()
         while time.monotonic() - began < 60.0 * minutes:
             time.sleep(2.0)
@@ -117,6 +132,7 @@ def ways(server, minutes):
         missing = [int(np.sum(np.round(gap / period) - 1)) for gap, period in zip(gaps, (0.008, 0.025), strict=True)]
         p50, p99, p100 = np.percentile(delays, [50, 99, 100])
         slope, error = slope_of(memory[memory[:, 0] > min(60.0, 30.0 * minutes)])
+        late = [float(word) for word in sleeper.communicate("over")[0].split()]
         half = 0.5e3 * min(client._line._pings)[0]
         stops = [stop_takes(client) for _ in range(20)]
     return [
@@ -126,6 +142,7 @@ def ways(server, minutes):
         ("under way, median", f"{p50:.2f} ms", "1 ms"),
         ("under way, 99th percentile", f"{p99:.2f} ms", "5 ms"),
         ("under way, longest", f"{p100:.1f} ms", ""),
+        ("a process that only sleeps is woken", f"{late[0]:.2f} ms late, {late[1]:.2f} ms at the 99th percentile", ""),
         ("offset of the clocks", f"known to {half:.2f} ms; the simulation's moved by {np.ptp(offsets):.3f} s", ""),
         ("server's CPU, all the time", f"{100 * cpu / wall:.0f} % of a core", ""),
         ("server's memory", f"{memory[-1, 1]:.0f} MB, {slope:+.3f} ± {error:.3f} MB a minute", "flat"),
