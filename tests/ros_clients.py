@@ -113,7 +113,7 @@ def _numbers(transform):
 
 
 def driven(robot, arm, twist, velocity, seconds):
-    """Drive a robot through `connect_ros` for a while and let it be; return where arm and truth were before and after.
+    """Drive a robot through `connect_ros` and let it be; return for how long, the arm's way, and the truths around it.
 
     After the last command nothing is said, and a second later nothing moves.
     """
@@ -128,6 +128,7 @@ def driven(robot, arm, twist, velocity, seconds):
             hardware.wait_until(begin + 0.02 * i)
             heard.append(hardware.read())
             hardware.write(Command(heard[-1].stamp, np.array(velocity), "velocity", np.array(twist)))
+        took = hardware.read().stamp - begin
         time.sleep(1.0)
         q_after, base_after = joint_positions(names), _place(truth[-1])
         time.sleep(0.2)
@@ -135,7 +136,7 @@ def driven(robot, arm, twist, velocity, seconds):
         hardware.stop("The test has ended.")
         hardware.close()
     counts = {kind: sum(len(getattr(r, kind)) for r in heard) for kind in ("wheels", "scans", "imu", "joints")}
-    return q_after - q, base, base_after, still, counts
+    return took, q_after - q, base, base_after, still, counts
 
 
 def followed(robot, twist, seconds):
