@@ -41,6 +41,12 @@ def quick_pictures(monkeypatch):
     monkeypatch.setattr(results.style, "png", lambda figure: b"picture")
 
 
+@pytest.fixture(autouse=True)
+def without_scene(monkeypatch):
+    """No scene is made for the report, which takes a second: tests/view does that."""
+    monkeypatch.setattr("longreach.view.export.add_to_report", lambda folder, run=None: False)
+
+
 @pytest.fixture(scope="session")
 def thing():
     return load_description("thing")

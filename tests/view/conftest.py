@@ -83,6 +83,9 @@ class Pretender:
         thread.start()
         return lambda: (ended.set(), thread.join())
 
+    def on_scan(self, callback):
+        return lambda: None
+
     def plan(self, goal, method):
         self.orders.append((method, goal))
         q = np.stack([self._q, self._q + 0.05])

@@ -4,6 +4,7 @@ import os
 import time
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from longreach.view.cockpit import Cockpit
@@ -49,6 +50,61 @@ def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
     assert page.errors == []
 
 
+STOP = "document.getElementById('longreach-stop')"
+CANVAS = "document.querySelector('canvas[data-engine]')"
+
+BUTTONS = "...document.querySelectorAll('button')"
+
+
+def box(page, element):
+    return page.evaluate(f"(b => [b.left, b.top, b.right, b.bottom])({element}.getBoundingClientRect())")
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1000, 500)], ids=["phone", "desktop"])
+def test_stop_is_on_the_screen_whatever_the_panel_does(page, server, pretender, tmp_path, width, height):
+    page.set_viewport_size({"width": width, "height": height})
+    Cockpit(server, pretender, tmp_path)
+    opened(page, server)
+    page.wait_for_function(f"{STOP} && {CANVAS}?.clientHeight > 100")
+
+    def is_seen():
+        left, top, right, bottom = box(page, STOP)
+        at = page.evaluate(f"document.elementFromPoint({0.5 * (left + right)}, {0.5 * (top + bottom)}).id")
+        return 0 <= left < right <= width and 0 <= top < bottom <= height and at == "longreach-stop"
+
+    assert is_seen()
+    if width < height:
+        _, top, _, bottom = box(page, CANVAS)
+        assert bottom - top >= 0.55 * height
+        page.get_by_text("longreach", exact=True).first.dispatch_event("click")  # the panel goes
+    else:
+        page.locator("[aria-label^=Minimize]").first.dispatch_event("click")
+    page.wait_for_function(
+        "![...document.querySelectorAll('button')].some(b => b.checkVisibility() && b.innerText == 'Record')"
+    )
+    assert is_seen()
+    page.evaluate(f"{STOP}.click()")
+    page.wait_for_timeout(500)
+    assert pretender.stopped
+    assert page.errors == []
+
+
+def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, server, pretender, tmp_path):
+    cockpit = Cockpit(server, pretender, tmp_path)
+    opened(page, server)
+    page.wait_for_function(f"!!{STOP}")
+    for field in ("input", "button"):
+        pretender.stopped = 0.0
+        page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
+        page.keyboard.press(" ")
+        end = time.monotonic() + 10.0
+        while not pretender.stopped:
+            assert time.monotonic() < end
+            page.wait_for_timeout(20)
+    assert cockpit._session is None
+    assert pretender.orders == []
+
+
 def test_the_exported_page_plays_without_a_network(page, drive, tmp_path):
     html = page_html(drive)
     assert len(html) < 5e6
@@ -57,8 +113,10 @@ def test_the_exported_page_plays_without_a_network(page, drive, tmp_path):
     asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.goto(path.as_uri())
-    page.wait_for_selector("canvas")
+    page.frame_locator("iframe").locator("canvas").first.wait_for()
     time.sleep(1.0)
+    assert "base by its wheels alone" in page.evaluate("document.querySelector('figcaption').innerText")
+    assert page.evaluate("document.querySelector('figure img').alt").startswith("Error of the estimate [mm]")
     assert picture(page, tmp_path / "c.png").std() > 5.0
     assert [url for url in asked if url.startswith(("http:", "https:", "ws:"))] == []
     assert page.errors == []

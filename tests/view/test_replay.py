@@ -69,3 +69,20 @@ def test_a_report_gets_the_scene_and_still_fetches_nothing(drive, tmp_path, monk
     assert len(page) < 10e6
     assert page.index("srcdoc=") < page.index("<h2>Figures")
     assert "<script" not in page  # they are in the frame, escaped
+    assert "base by its wheels alone" in page
+    assert "image/svg+xml" in page
+
+
+def test_an_estimate_has_its_scene_too(thing, tmp_path):
+    pytest.importorskip("viser")
+    from longreach.app.estimate import estimate
+    from longreach.sim.kinematic import make_recording
+    from longreach.view.export import add_to_report
+    from longreach.view.replay import of_estimate
+
+    recording = make_recording(thing.description, duration=2.0, lidar_rate=10.0, beams=90)
+    run = of_estimate(estimate(recording, thing.description))
+    assert len(run.map_points) > 20
+    (tmp_path / "report.html").write_text("<body><section><h2>Figures</h2></section></body>", encoding="utf-8")
+    assert add_to_report(tmp_path, lambda: run)
+    assert 1e5 < (tmp_path / "report.html").stat().st_size < 2e6

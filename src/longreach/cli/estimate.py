@@ -48,6 +48,8 @@ def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
     from longreach.app.outputs import write_estimate
     from longreach.app.warmup import warm_up
     from longreach.io.whole_files import check_folder
+    from longreach.view.export import add_to_report
+    from longreach.view.replay import of_estimate
 
     check_folder(out)
     with shown_progress() as progress:
@@ -57,6 +59,8 @@ def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
             run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress
         )
         write_estimate(result, out, progress)
+        progress("scene for the report", 0.0)
+        add_to_report(out, lambda: of_estimate(result))
     print_metrics(result.metrics)
     for remark in result.remarks:
         typer.echo(f"note: {remark}")

@@ -14,6 +14,7 @@ def command(
     connect: str | None = typer.Option(None, help="Watch and command the robot that is served at host:port."),
     token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="The server's secret."),
     certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
+    open: bool = typer.Option(False, "--open", help="Open the page in this machine's browser."),
     duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
 ) -> None:
     """Show a recorded run, or a robot over the network, in the browser."""
@@ -22,13 +23,19 @@ def command(
     if (recording is None) == (connect is None):
         raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
     if recording is not None:
-        _show_recording(recording, robot, estimate, port, export, duration)
+        _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:
-        _show_robot(connect, token, certificates, port, duration)
+        _show_robot(connect, token, certificates, port, open, duration)
 
 
 def _show_recording(
-    recording: Path, robot: str | None, estimate: Path | None, port: int, export: Path | None, duration: float | None
+    recording: Path,
+    robot: str | None,
+    estimate: Path | None,
+    port: int,
+    export: Path | None,
+    browser: bool,
+    duration: float | None,
 ) -> None:
     from longreach.view.page import open_page
     from longreach.view.player import Player
@@ -45,12 +52,13 @@ def _show_recording(
     server = open_page(port=port)
     player = Player(server, run)
     player.play()
-    _serve(server, player.loop, duration)
+    _serve(server, player.loop, browser, duration)
 
 
-def _serve(server: object, loop: object, duration: float | None) -> None:
+def _serve(server: object, loop: object, browser: bool, duration: float | None) -> None:
     """Say where the page is, and let it run until the time is over or somebody interrupts."""
     import threading
+    import webbrowser
     from typing import Any, cast
 
     from longreach.view.page import close_page
@@ -61,20 +69,28 @@ def _serve(server: object, loop: object, duration: float | None) -> None:
         timer = threading.Timer(duration, until.set)
         timer.daemon = True
         timer.start()
-    typer.echo(f"Open http://127.0.0.1:{page.get_port()} in a browser; Ctrl+C ends it.")
+    address = f"http://127.0.0.1:{page.get_port()}"
+    opened = browser and webbrowser.open(address)
+    typer.echo(f"{'The page is' if opened else 'Open'} {address}{'' if opened else ' in a browser'}; Ctrl+C ends it.")
     try:
         work(until)
     finally:
         close_page(page)
 
 
-def _show_robot(address: str, token: str | None, certificates: Path | None, port: int, duration: float | None) -> None:
+def _show_robot(
+    address: str, token: str | None, certificates: Path | None, port: int, browser: bool, duration: float | None
+) -> None:
+    from longreach.app.warmup import warm_up
+    from longreach.cli.progress import shown_progress
     from longreach.live.client import connect
     from longreach.live.promptness import prompt
     from longreach.view.cockpit import Cockpit
     from longreach.view.page import open_page
 
+    with shown_progress() as progress:
+        warm_up(progress, "kinematics", "task priority")  # so that the first plan is there at once
     prompt()
     with connect(address, token, certificates=certificates, name="page") as client:
         server = open_page(port=port)
-        _serve(server, Cockpit(server, client).loop, duration)
+        _serve(server, Cockpit(server, client).loop, browser, duration)

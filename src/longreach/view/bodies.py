@@ -21,6 +21,13 @@ def quaternion(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     return np.array([np.cos(0.5 * angle), *(0.5 * np.sinc(angle / (2 * np.pi)) * w)])
 
 
+def rotation(w: float, x: float, y: float, z: float) -> Float[np.ndarray, "3 3"]:
+    """Return the matrix of a unit quaternion."""
+    v = np.array([x, y, z])
+    hat = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * hat + 2 * (np.outer(v, v) - v @ v * np.eye(3))
+
+
 def place(node: Any, T: Float[np.ndarray, "4 4"]) -> None:
     """Put a node at a pose in its parent."""
     node.position, node.wxyz = T[:3, 3], quaternion(T[:3, :3])

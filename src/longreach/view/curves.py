@@ -27,6 +27,9 @@ def plots(
     truth = poses.get("truth")
     if truth is not None:
         errors = [Curve("base", style.BLUE, 1e3 * _distance(poses["fused"], truth))]
+        if covariance is not None:
+            largest = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+            errors.append(Curve("3σ of the base, as stated", style.SKY, 3e3 * np.sqrt(np.maximum(largest, 0.0))))
         if tools is not None:
             off = np.linalg.norm(robot.forward(q)[:, :3, 3] - tools[:, :3, 3], axis=1)
             errors.append(Curve("tool", style.GREEN, 1e3 * off))
@@ -45,7 +48,7 @@ def plots(
         found.append(speed_plot(robot, velocities))
         if robot.dof - robot.arm.start >= 6:
             m, _ = manipulability(robot, q, "m", "arm")
-            found.append(plot("Manipulability of the arm √det(JJᵀ) [1]", [Curve("M", style.GREEN, m)]))
+            found.append(plot("Manipulability of the arm √det(JJᵀ) [m³]", [Curve("M", style.GREEN, m)]))
     return tuple(found)
 
 

@@ -41,6 +41,10 @@ class Commanded(Protocol):
         """Call back with each new state; returns what ends it."""
         ...
 
+    def on_scan(self, callback: Callable[[Any], None]) -> Callable[[], None]:
+        """Call back with each new scan; returns what ends it."""
+        ...
+
     def plan(self, goal: Reference | Float[np.ndarray, "4 4"], method: Method) -> ConfigurationTrajectory:
         """Plan along a reference, or to a pose of the tool; nothing moves."""
         ...

@@ -68,6 +68,15 @@ class Run:
         """How long it took [s]."""
         return float(self.times[-1])
 
+    @property
+    def shown(self) -> list[str]:
+        """What of the legend's names there is."""
+        first = self.moments[0]
+        there = {"estimate": True, "wheels": first.wheels is not None, "truth": first.truth is not None}
+        there |= {"scan": first.scan is not None, "map": len(self.map_points) > 0}
+        there |= dict.fromkeys((*self.paths, *self.plans), True)
+        return [name for name, yes in there.items() if yes]
+
     def index(self, time: float) -> int:
         """Return which moment stands at a time [s]."""
         return int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 1))

@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from longreach.view import overlay
 from longreach.view.moment import Plot
 from longreach.view.scene import COLOURS, engine
 
 _NAMES = {
-    "estimate": "estimate, with where the base is at 95 %",
-    "wheels": "base by its wheels alone",
-    "truth": "truth of base and tool",
+    "estimate": "estimate: the robot, and the ellipse that the base is in with 95 %",
+    "wheels": "base by its wheels alone, as an outline",
+    "truth": "truth: the base as an outline, the tool as a ball",
     "scan": "newest scan",
     "map": "map of all scans",
     "base driven": "base, driven",
     "tool driven": "tool, driven",
     "base planned": "base, planned",
     "tool planned": "tool, planned",
-    "preview": "plan that has not run yet",
 }
 
 
@@ -32,6 +32,7 @@ def open_page(host: str = "127.0.0.1", port: int = 8080) -> Any:
         show_logo=False, show_share_button=False, control_width="medium", brand_color=(0, 114, 178)
     )
     server.gui.set_panel_label("longreach")
+    overlay.add_layout(server)
     return server
 
 
@@ -41,16 +42,20 @@ def close_page(server: Any) -> None:
         server.stop()
 
 
-def add_legend(server: Any, shown: Sequence[str]) -> None:
-    """Add what the colours mean, and the units."""
+def legend_html(shown: Sequence[str]) -> str:
+    """Return what the colours mean, and the units."""
     rows = "".join(
         f'<div style="display:flex;align-items:center;gap:.5em;line-height:1.6">'
         f'<span style="flex:none;width:1.1em;height:.55em;border-radius:2px;background:{COLOURS[name]}"></span>'
         f"{_NAMES[name]}</div>"
         for name in shown
     )
-    note = '<div style="opacity:.65;margin-top:.3em">A square of the floor is 0.5 m.</div>'
-    server.gui.add_html(f'<div style="font-size:.8em;padding:.2em .6em">{rows}{note}</div>')
+    return rows + '<div style="opacity:.65;margin-top:.3em">A square of the floor is 0.5 m.</div>'
+
+
+def add_legend(server: Any, shown: Sequence[str]) -> None:
+    """Add what the colours mean, and the units."""
+    server.gui.add_html(f'<div style="font-size:.8em;padding:.2em .6em">{legend_html(shown)}</div>')
 
 
 class PlotPanel:

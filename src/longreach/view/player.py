@@ -8,7 +8,7 @@ import numpy as np
 
 from longreach.view.moment import Run
 from longreach.view.page import PlotPanel, add_legend
-from longreach.view.scene import COLOURS, Growing, Scene
+from longreach.view.scene import COLOURS, Follower, Growing, Scene
 
 _FRAME = 0.04  # [s] between two pictures while it plays
 _PLOTS_EVERY = 6  # pictures
@@ -28,30 +28,26 @@ class Player:
         for name, points in run.plans.items():
             self.scene.add_path(name, points, COLOURS[name], 2.0)
         self._plots: list[PlotPanel] = []
+        self._follower, self._follow = Follower(server), None
         if panel:
             self._add_panel()
         self.seek(0.0)
 
     def _add_panel(self) -> None:
         gui, run = self._server.gui, self.run
-        self._button = gui.add_button("Play", icon=None, hint="Space")
+        self._button = gui.add_button("Play", hint="Space bar")
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
         self._slider = gui.add_slider("Time [s]", min=0.0, max=round(run.duration, 2), step=0.02, initial_value=0.0)
         self._speed = gui.add_dropdown("Speed", ("0.5 ×", "1 ×", "2 ×", "5 ×", "20 ×"), initial_value="1 ×")
         self._magnified = gui.add_dropdown("Ellipse", ("1 ×", "10 ×", "50 ×"), initial_value="10 ×")
+        self._follow = gui.add_checkbox("Camera follows the base", False)
         self._button.on_click(lambda _: self.play(not self.playing))
         self._slider.on_update(lambda event: self.seek(self._slider.value) if event.client is not None else None)
         self._magnified.on_update(lambda _: self._magnify())
         with gui.add_folder("Legend"):
-            add_legend(self._server, self._shown())
+            add_legend(self._server, run.shown)
         with gui.add_folder("Plots"):
             self._plots = [PlotPanel(self._server, plot, run.times) for plot in run.plots]
-
-    def _shown(self) -> list[str]:
-        first = self.run.moments[0]
-        there = {"estimate": True, "wheels": first.wheels is not None, "truth": first.truth is not None}
-        there |= {"scan": first.scan is not None, "map": len(self.run.map_points) > 0}
-        there |= dict.fromkeys((*self.run.paths, *self.run.plans), True)
-        return [name for name, yes in there.items() if yes]
 
     def _magnify(self) -> None:
         self.scene.magnified = float(self._magnified.value.split()[0])
@@ -69,7 +65,10 @@ class Player:
         with self._lock, self._server.atomic():
             self.time = min(max(at, 0.0), self.run.duration)
             i = self.run.index(self.time)
-            self.scene.show(self.run.moments[i])
+            moment = self.run.moments[i]
+            self.scene.show(moment)
+            if self._follow is not None:
+                self._follower.show(np.array([*moment.q[:2], 0.0]), self._follow.value)
             for growing in self._growing:
                 growing.show(self.time)
             for panel in self._plots if plots else ():

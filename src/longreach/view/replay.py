@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from longreach.app.estimate import estimate, sensor_mount
+from longreach.app.estimate import Estimate, estimate, sensor_mount
 from longreach.errors import LongreachError, RecordingError
 from longreach.evaluation.alignment import align_pairs, associate, moved
 from longreach.evaluation.scan_map import scan_points
@@ -28,6 +28,7 @@ _RATE = 25.0  # moments a second
 _MOST_MOMENTS = 6000
 _MAP_CELL = 0.04  # [m]
 _MOST_SCANS = 2000  # laid into the map
+_REPORTED = 240  # moments and scans in the report of an estimate
 _BEAMS = 361  # of a sweep that is shown
 _APART = 0.2  # between truth and estimate at the start [m or rad]: beyond, they are in different frames
 
@@ -67,14 +68,25 @@ def _where(path: Path, estimated: Path | None) -> tuple[Path | None, Path]:
     return estimated or beside, path
 
 
+def of_estimate(estimated: Estimate) -> Run:
+    """Return what a page shows of an estimate that was just made."""
+    trajectories = dict(estimated.evaluation.trajectories)
+    _carry_truth(trajectories)
+    machine = _machine(estimated.robot, Path())
+    return assemble(estimated.recording.name, machine, estimated.recording, trajectories, most=_REPORTED)
+
+
+def _machine(description: RobotDescription, folder: Path) -> MobileManipulator:
+    try:
+        return load_robot(description.name)
+    except LongreachError:  # it was a file's of its user
+        return MobileManipulator.from_description(description, folder)
+
+
 def _robot_of(folder: Path | None) -> MobileManipulator:
     """Return the robot that the folder's own settings name."""
     if folder is not None and (folder / "robot.yaml").is_file():
-        description = read_config(folder / "robot.yaml", RobotDescription)
-        try:
-            return load_robot(description.name)
-        except LongreachError:  # it was a file's of its user
-            return MobileManipulator.from_description(description, folder)
+        return _machine(read_config(folder / "robot.yaml", RobotDescription), folder)
     settings = folder / "config.yaml" if folder is not None else None
     if settings is not None and settings.is_file():
         for line in settings.read_text(encoding="utf-8").splitlines():
@@ -144,11 +156,12 @@ def assemble(
     trajectories: Mapping[str, PoseTrajectory],
     tool_truth: tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 4 4"]] | None = None,
     plans: Mapping[str, Float[np.ndarray, "j 3"]] | None = None,
+    most: int = _MOST_MOMENTS,
 ) -> Run:
-    """Put recording and trajectories on an even grid of times."""
+    """Put recording and trajectories on an even grid of times, of `most` moments."""
     fused = trajectories["fused"]
     start, stop = float(fused.clock[0]), float(fused.clock[-1])
-    count = int(np.clip(round((stop - start) * _RATE) + 1, 2, _MOST_MOMENTS))
+    count = int(np.clip(round((stop - start) * _RATE) + 1, 2, most))
     clock = np.linspace(start, stop, count)
     times = clock - start
     poses = {what: trajectory.at(clock)[0] for what, trajectory in trajectories.items() if len(trajectory)}
@@ -176,7 +189,7 @@ def assemble(
         )
         for i in range(count)
     )
-    map_points, map_times = _map(fused, recording, sensor_mount(recording, robot.description, "lidar"), start)
+    map_points, map_times = _map(fused, recording, sensor_mount(recording, robot.description, "lidar"), start, most)
     paths = {}
     if robot.base.stop:
         paths["base driven"] = (times, np.column_stack([q[:, :2], np.zeros(count)]))
@@ -233,13 +246,14 @@ def sweep_points(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"]) -> Flo
 
 
 def _map(
-    fused: PoseTrajectory, recording: Recording, mount: np.ndarray, start: float
+    fused: PoseTrajectory, recording: Recording, mount: np.ndarray, start: float, most: int
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
     """Return a point for each cell of the floor that returns fell into, and when the first did [s]."""
-    scans = recording.scans[:: max(1, len(recording.scans) // _MOST_SCANS)]
+    scans = recording.scans[:: max(1, len(recording.scans) // min(most, _MOST_SCANS))]
     cells: dict[tuple[int, int], float] = {}
     for scan in scans:
-        for cell in set(map(tuple, np.round(scan_points(fused, [scan], mount) / _MAP_CELL).astype(int).tolist())):
+        new = np.unique(np.round(scan_points(fused, [scan], mount) / _MAP_CELL).astype(int), axis=0)
+        for cell in map(tuple, new.tolist()):
             cells.setdefault(cell, scan.stamp - start)
     points = _MAP_CELL * np.array(list(cells), dtype=float).reshape(-1, 2)
     return points, np.array(list(cells.values()))

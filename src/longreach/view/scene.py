@@ -18,6 +18,8 @@ from longreach.view.moment import Moment
 
 _ABOVE = 0.012  # of lines over the floor [m], so that they do not flicker in it
 _CHI2_95 = 5.991  # of two degrees of freedom
+_STILL = 1e-5  # of a joint [rad], that is not seen
+_NOTICED = 0.01  # of the base's way, by a camera that follows it [m]
 _PIECES = 40  # that a path or a map appears in as it grows
 COLOURS = {
     "estimate": style.BLUE,
@@ -30,7 +32,6 @@ COLOURS = {
     "tool truth": style.BLACK,
     "base planned": style.SKY,
     "tool planned": style.PURPLE,
-    "preview": style.PURPLE,
 }
 
 
@@ -75,12 +76,12 @@ class Scene:
             point_shading="flat", visible=False,
         )  # fmt: skip
         self._shown_scan: Any = None
+        self._arm: np.ndarray | None = None  # as it is shown
 
     def show(self, moment: Moment) -> None:
         """Put everything where it is at a moment."""
-        for handle, T in bodies.placed(self._links, self._robot, moment.q):
-            bodies.place(handle, T)
         pose = moment.q[:3] if self._robot.base.stop else np.zeros(3)
+        self._show_links(pose, moment.q)
         for name, at in (("wheels", moment.wheels), ("truth", moment.truth)):
             self._show_base(self._ghosts[name], at)
         self._show_ellipse(pose, moment.covariance)
@@ -88,6 +89,17 @@ class Scene:
         if moment.tool_truth is not None:
             self._tool_truth.position = moment.tool_truth[:3, 3]
         self._show_scan(pose, moment.scan)
+
+    def _show_links(self, pose: np.ndarray, q: np.ndarray) -> None:
+        """Move the robot as a whole, and its links in it where the arm has moved."""
+        bodies.place_plane(self._links[""], pose)
+        arm = q[self._robot.arm]
+        if self._arm is not None and np.max(np.abs(arm - self._arm), initial=0.0) < _STILL:
+            return
+        self._arm, inside = arm.copy(), q.copy()
+        inside[: self._robot.base.stop] = 0.0
+        for handle, T in bodies.placed(self._links, self._robot, inside):
+            bodies.place(handle, T)
 
     def _show_base(self, ghost: Any, pose: np.ndarray | None) -> None:
         ghost.visible = pose is not None
@@ -161,6 +173,22 @@ class Growing:
         for i, (since, node) in enumerate(self._pieces):
             if (since <= time) != self._shown[i]:
                 node.visible = self._shown[i] = since <= time
+
+
+class Follower:
+    """Lets every camera go where the base goes."""
+
+    def __init__(self, server: Any) -> None:
+        self._server, self._last = server, np.zeros(3)
+
+    def show(self, base: Float[np.ndarray, "3"], follow: bool) -> None:
+        """Move the cameras by as much as the base [m] has moved since, or only remember where it is."""
+        moved = base - self._last
+        if follow and np.linalg.norm(moved) < _NOTICED:
+            return
+        self._last = base
+        for client in self._server.get_clients().values() if follow else ():
+            client.camera.position = client.camera.position + moved  # what it looks at goes along
 
 
 def engine() -> Any:

@@ -8,32 +8,28 @@ import numpy as np
 from longreach.errors import RecordingError
 from longreach.io.bag_writer import write_bag
 from longreach.measurement import JointState, Odometry, Recording
-from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.trajectory import PoseTrajectory
+from longreach.view.face import Commanded
 
 
 class Session:
-    """Takes states and scans, as often as they come, until it is written."""
+    """Takes all states and scans of a client from now on, until it is written."""
 
-    def __init__(self) -> None:
+    def __init__(self, client: Commanded) -> None:
+        self._robot = client.robot
         self._states: list[Any] = []
         self._scans: list[Any] = []
+        self._ends = (client.on_state(self._states.append), client.on_scan(self._scans.append))
 
-    def take(self, state: Any) -> None:
-        """Keep a state; called from the network's thread."""
-        self._states.append(state)
-
-    def take_scan(self, scan: Any) -> None:
-        """Keep a scan, unless it is the one before."""
-        if scan is not None and (not self._scans or self._scans[-1] is not scan):
-            self._scans.append(scan)
-
-    def write(self, path: Path, robot: MobileManipulator) -> int:
-        """Write an MCAP and return how many states are in it.
+    def write(self, path: Path) -> int:
+        """End it, write an MCAP and return how many states are in it.
 
         Raises:
-            RecordingError: nothing has come yet.
+            RecordingError: nothing has come.
         """
+        for end in self._ends:
+            end()
+        robot = self._robot
         states = [s for i, s in enumerate(self._states) if i == 0 or s.stamp > self._states[i - 1].stamp]
         if len(states) < 2:
             raise RecordingError("Nothing was recorded: no state has come from the robot.")

@@ -1,0 +1,125 @@
+"""A person's hands on a real robot's page: a mouse in a browser, a robot that another process serves."""
+
+import time
+
+import numpy as np
+import pytest
+from live_networks import Served
+
+import longreach as lr
+from longreach.view.bodies import rotation
+from longreach.view.cockpit import Cockpit
+from longreach.view.replay import read_run
+
+_GRIP = 0.85  # where on an arrow of the gizmo a hand takes it
+_PIXELS = 70.0  # of the gizmo's arrows
+_STOP = "document.getElementById('longreach-stop')"
+_CANVAS = "document.querySelector('canvas[data-engine]')"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    one = Served(tmp_path_factory.mktemp("served")).ready()
+    yield one
+    one.end()
+
+
+@pytest.fixture
+def client(served):
+    with lr.connect(served.address, name="page") as connected:
+        yield connected
+        connected.reset()
+
+
+@pytest.fixture
+def cockpit(server, client, running, tmp_path):
+    made = Cockpit(server, client, tmp_path)
+    running(made.loop)
+    return made
+
+
+def until(condition, page, limit=30.0):
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end
+        page.wait_for_timeout(20)
+
+
+def box(page, element):
+    """Return left, top, width and height; asked of the page itself, for playwright waits for pictures."""
+    return page.evaluate(f"(b => [b.x, b.y, b.width, b.height])({element}.getBoundingClientRect())")
+
+
+def press(page, words):
+    """Press the button with these words in the panel."""
+    find = f"[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{words}'))"
+    until(lambda: page.evaluate(f"!!{find} && !{find}.disabled"), page)
+    page.evaluate(f"{find}.click()")
+
+
+def hand_on(page, server):
+    """Open the page and return what projects points of the world to it."""
+    page.goto(f"http://127.0.0.1:{server.get_port()}")
+    until(lambda: server.get_clients() and page.evaluate(f"{_STOP} && {_CANVAS}?.clientHeight > 100"), page)
+    page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
+    page.wait_for_timeout(1500)
+    (viewer,) = server.get_clients().values()
+    left, top, width, height = box(page, _CANVAS)
+    focal = 0.5 * height / np.tan(0.5 * viewer.camera.fov)
+    R, eye = rotation(*viewer.camera.wxyz), viewer.camera.position
+
+    def seen(point):
+        x, y, z = R.T @ (point - eye)
+        return np.array([left + 0.5 * width, top + 0.5 * height]) + focal * np.array([x, y]) / z, z / focal
+
+    return seen
+
+
+def drag(page, start, way):
+    page.mouse.move(*start)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    for part in (0.3, 0.7, 1.0):
+        page.mouse.move(*(start + part * way))
+    page.mouse.up()
+
+
+def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(page, server, client, cockpit):
+    client.plan(client.robot.forward(client.state.q), "task-priority")  # its kernels are loaded
+    seen = hand_on(page, server)
+    T = client.robot.forward(client.state.q)
+    middle, metre = seen(T[:3, 3])
+    tips = [seen(T[:3, 3] + _GRIP * _PIXELS * metre * T[:3, i])[0] - middle for i in range(3)]
+    axis = int(np.argmax(np.linalg.norm(tips, axis=1)))
+    drag(page, middle + tips[axis], 25.0 * tips[axis] / np.linalg.norm(tips[axis]))
+    until(lambda: cockpit.plan is not None, page)
+    moved = T[:3, :3].T @ (cockpit.gizmo.position - T[:3, 3])
+    assert 0.05 < moved[axis] < 1.5
+    np.testing.assert_allclose(np.delete(moved, axis), 0.0, atol=0.01)  # along the arrow that was taken
+    goal = np.array(cockpit.gizmo.position)
+    assert np.linalg.norm(client.robot.forward(client.state.q)[:3, 3] - T[:3, 3]) < 0.002  # nothing moves yet
+    press(page, "Run the plan")
+    until(lambda: client.state.goal == "follow", page)
+    until(lambda: client.state.goal != "follow", page)
+    assert np.linalg.norm(client.robot.forward(client.state.q)[:3, 3] - goal) < 0.003
+    assert page.errors == []
+
+
+def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, client, cockpit, tmp_path):
+    hand_on(page, server)
+    before = client.state.q[:3].copy()
+    press(page, "Record")
+    until(lambda: cockpit._session is not None, page)
+    until(lambda: page.keyboard.press("i") or np.linalg.norm(client.state.q[:2] - before[:2]) > 0.05, page)
+    began = time.monotonic()
+    left, top, *_ = box(page, _STOP)
+    page.mouse.click(left + 20, top + 20)
+    until(lambda: client.state.latched, page)
+    assert time.monotonic() - began < 20.0  # a browser without a graphics card is slow to see a mouse
+    press(page, "Stop recording")
+    until(lambda: list(tmp_path.glob("session-*.mcap")) and cockpit._session is None, page)
+    (written,) = tmp_path.glob("session-*.mcap")
+    run = read_run(written, "thing")
+    way = run.moments[-1].wheels - run.moments[0].wheels
+    assert 0.03 < np.linalg.norm(way[:2]) < 5.0
+    assert page.errors == []
