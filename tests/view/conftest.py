@@ -43,7 +43,7 @@ def drive(thing):
     drifted = np.column_stack([0.5 * t, 0.05 * t, 0 * t])
     fused = PoseTrajectory(t, poses, np.tile(np.diag([1e-4, 4e-4, 1e-6]), (51, 1, 1)))
     angles = -0.5 + 0.01 * np.arange(101)
-    scans = [LaserScan(s, (2.0 - 0.5 * s) / np.cos(angles), -0.5, 0.01) for s in t.tolist()]
+    scans = [LaserScan(s, (2.0 - 0.5 * s) / np.cos(angles), -0.5, 0.01) for s in (t[:-1] + 0.013).tolist()]
     names = thing.joint_names[thing.arm]
     home = thing.home[thing.arm]
     joints = [JointState(s, names, home + 0.1 * s * np.eye(6)[0], 0.1 * np.eye(6)[0], np.zeros(0)) for s in t.tolist()]

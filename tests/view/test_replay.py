@@ -21,6 +21,13 @@ def test_a_wall_is_one_row_of_map_points_that_are_known_when_they_were_seen(driv
     np.testing.assert_allclose(drive.map_points[:, 0].min(), 0.3932 + 2.0, atol=0.05)
 
 
+def test_a_scan_stands_where_the_base_was_when_it_was_taken(drive):
+    for time in (0.43, 1.0, 1.99):
+        moment = drive.moments[drive.index(time)]
+        x = moment.scan_pose[0] + moment.scan[:, 0]
+        np.testing.assert_allclose(x, 0.3932 + 2.0, atol=0.01)  # the wall, through the laser's mount
+
+
 def test_the_plots_tell_the_error_in_millimetres(drive):
     wheels = next(plot for plot in drive.plots if plot.title == "Error of the wheels alone [mm]")
     np.testing.assert_allclose(wheels.curves[0].values[-1], 100.0, atol=1e-6)

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from longreach.view.session import Session
 from longreach.view.trails import GrowingMap, Trail
 
 _FRAME = 0.05  # [s] between two pictures
+_RECENT = 64  # states, half a second: a scan comes later than the state of its time
 _GIZMO = 70.0  # [pixels]: a finger finds it
 _COASTS = 0.4  # a key that is held repeats faster than this [s]
 _SILENT = 0.25  # [s]
@@ -49,7 +51,9 @@ class Cockpit:
         self._session: Session | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
         self._follower = Follower(server)
-        self._scan: tuple[Any, Any] = (None, None)
+        self._scan: tuple[Any, Any, Any] = (None, None, None)  # as it came, its points, and where the base was
+        self._ways: deque[tuple[float, np.ndarray]] = deque([(client.state.stamp, q[:3])], maxlen=_RECENT)
+        self._unwatch = client.on_state(lambda state: self._ways.append((state.stamp, state.q[:3])))
         self._add_controls()
 
     def _add_controls(self) -> None:
@@ -196,6 +200,7 @@ class Cockpit:
                 self._try(self.client.hold)
             drove, count = driving, count + 1
             self.show(count)
+        self._unwatch()
         if self._session is not None:
             self._try(self.record)
 
@@ -204,9 +209,9 @@ class Cockpit:
         state, robot = self.client.state, self.client.robot
         tool = robot.forward(state.q)
         with self._server.atomic():
-            self._take_scan(state, count)
+            self._take_scan(count)
             self.scene.show(
-                Moment(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, self._scan[1])
+                Moment(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, *self._scan[1:])
             )
             if robot.base.stop:
                 self._trails["base driven"].grow(np.array([*state.q[:2], 0.0]))
@@ -220,13 +225,15 @@ class Cockpit:
                 self._show_status(state)
             self._plots.take(state, show=count % 10 == 0)
 
-    def _take_scan(self, state: Any, count: int) -> None:
+    def _take_scan(self, count: int) -> None:
         scan, robot = self.client.scan, self.client.robot
         if scan is not self._scan[0]:
             mount = robot.description.lidar.mount if robot.description.lidar else None
-            self._scan = (scan, sweep_points(scan, np.eye(4) if mount is None else mount.matrix()))
+            points = sweep_points(scan, np.eye(4) if mount is None else mount.matrix())
+            _, pose = min(tuple(self._ways), key=lambda way: abs(way[0] - scan.stamp))
+            self._scan = (scan, points, pose)
             if count % 10 == 0 or not len(self.map.points):
-                self.map.grow(se2.transform(state.q[:3], self._scan[1]))
+                self.map.grow(se2.transform(pose, points))
 
     def _put_gizmo(self, T: np.ndarray) -> None:
         if np.linalg.norm(T[:3, 3] - np.asarray(self.gizmo.position)) > 1e-4:

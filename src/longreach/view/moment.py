@@ -15,7 +15,8 @@ class Moment:
 
     q (n,): base first, as estimated [m, m, rad, rad …]. covariance (3, 3) of the base's error ξ, in its own frame.
     wheels, truth (3,): where the wheels alone say the base is, and where it really is. tool_truth (4, 4).
-    scan (k, 2): the returns of the newest sweep [m], in the base's frame.
+    scan (k, 2): the returns of the newest sweep [m], in the base's frame when it was taken; scan_pose (3,): where that
+    was, None where q says it.
     """
 
     q: Float[np.ndarray, " n"]
@@ -24,6 +25,7 @@ class Moment:
     truth: Float[np.ndarray, "3"] | None = None
     tool_truth: Float[np.ndarray, "4 4"] | None = None
     scan: Float[np.ndarray, "k 2"] | None = None
+    scan_pose: Float[np.ndarray, "3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)

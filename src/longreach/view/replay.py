@@ -177,7 +177,7 @@ def assemble(
     tools = None
     if tool_truth is not None:
         tools = tool_truth[1][np.clip(np.searchsorted(tool_truth[0], clock), 0, len(tool_truth[0]) - 1)]
-    sweeps = _Sweeps(recording, robot.description)
+    sweeps = _Sweeps(recording, robot.description, fused)
     moments = tuple(
         Moment(
             q[i],
@@ -185,7 +185,7 @@ def assemble(
             poses["wheels"][i] if "wheels" in poses else None,
             poses["truth"][i] if "truth" in poses else None,
             None if tools is None else tools[i],
-            sweeps.at(float(clock[i])),
+            *sweeps.at(float(clock[i])),
         )
         for i in range(count)
     )
@@ -220,20 +220,21 @@ def _take_joints(
 
 
 class _Sweeps:
-    """The newest sweep at a time, thinned, in the base's frame; each is made once."""
+    """The newest sweep at a time, thinned, in the base's frame, and where that was; each is made once."""
 
-    def __init__(self, recording: Recording, robot: RobotDescription) -> None:
+    def __init__(self, recording: Recording, robot: RobotDescription, fused: PoseTrajectory) -> None:
         self._scans, self._mount = recording.scans, sensor_mount(recording, robot, "lidar")
         self._stamps = np.array([scan.stamp for scan in recording.scans])
+        self._poses, self._known = fused.at(self._stamps)
         self._made: dict[int, np.ndarray] = {}
 
-    def at(self, clock: float) -> Float[np.ndarray, "k 2"] | None:
+    def at(self, clock: float) -> tuple[Float[np.ndarray, "k 2"] | None, Float[np.ndarray, "3"] | None]:
         if not len(self._stamps):
-            return None
+            return None, None
         i = max(int(np.searchsorted(self._stamps, clock, side="right")) - 1, 0)
         if i not in self._made:
             self._made[i] = sweep_points(self._scans[i], self._mount)
-        return self._made[i]
+        return self._made[i], self._poses[i] if self._known[i] else None
 
 
 def sweep_points(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "k 2"]:

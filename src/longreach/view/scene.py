@@ -88,7 +88,7 @@ class Scene:
         self._tool_truth.visible = moment.tool_truth is not None
         if moment.tool_truth is not None:
             self._tool_truth.position = moment.tool_truth[:3, 3]
-        self._show_scan(pose, moment.scan)
+        self._show_scan(pose if moment.scan_pose is None else moment.scan_pose, moment.scan)
 
     def _show_links(self, pose: np.ndarray, q: np.ndarray) -> None:
         """Move the robot as a whole, and its links in it where the arm has moved."""
