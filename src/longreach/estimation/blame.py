@@ -12,7 +12,7 @@ from longreach.estimation.snapshot import Doubt, Snapshot
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
-_DRIFT_MEMORY, _DRIFT_MOST = 0.15, 2.0  # weight of the last heading's innovation in the mean, and its bound (7 sigma)
+_USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time; its bound, 1e-7 by chance
 _STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
 _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
 
@@ -86,13 +86,14 @@ def _without(doubts: Mapping[str, Doubt], source: str) -> dict[str, Doubt]:
 def drifting(config: FilterConfig, now: Snapshot, innovation: float, variance: float) -> Snapshot:
     """Where headings are off to one side again and again, let the gyro's bias have jumped.
 
-    innovation [rad]: of a heading, N(0, variance) and white where the filter is right.
+    innovation [rad]: of a heading, N(0, variance) and white where the filter is right. Their cumulative sum tells a
+    jump as soon as can be (Page 1954).
     """
     if not variance > 0.0:
         return now
-    share = innovation / math.sqrt(variance)
-    drift = now.drift + _DRIFT_MEMORY * (max(-4.0, min(4.0, float(share))) - now.drift)
-    if abs(drift) < _DRIFT_MOST:
+    drift = now.drift + max(-4.0, min(4.0, float(innovation) / math.sqrt(variance)))
+    drift = math.copysign(max(abs(drift) - _USUAL, 0.0), drift)
+    if abs(drift) < _TOO_MUCH:
         return now._replace(drift=drift)
     P = now.P.copy()
     P[9, 9] += (_STEP * config.initial_gyro_bias_deviation) ** 2

@@ -91,7 +91,7 @@ class Snapshot(NamedTuple):
 
     steps: by counter, what its steps have added (2, 3, 3) to the covariance of the pose since another source told it,
     through translations and through turns. doubts: by source, what it has said beyond the gate without a break.
-    drift: running mean of the innovations of headings, each over its deviation.
+    drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
