@@ -175,7 +175,7 @@ def align(
                     d[i] += V[i, k] * along
         dx, dy, dt = se2_exp(d[0], d[1], d[2] / reach)
         pose[0], pose[1], pose[2] = se2_compose(pose[0], pose[1], pose[2], dx, dy, dt)
-        if abs(d[0]) + abs(d[1]) + abs(d[2]) < 1e-2 * scale * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
+        if abs(d[0]) + abs(d[1]) + abs(d[2]) < 0.1 * noise * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
             break
     return m, scale, total
 

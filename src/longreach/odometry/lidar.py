@@ -178,7 +178,7 @@ def _wrong(found: Fit, points: Points) -> str:
         return f"only {found.rows} beams see something that the keyframe saw"
     if found.support < _LEAST_SUPPORT:
         return f"only {100 * found.support:.0f} % of the beams agree with the keyframe"
-    if not (np.isfinite(found.pose).all() and np.isfinite(found.covariance).all()):
+    if not math.isfinite(found.pose.sum() + found.covariance.sum()):
         return "the match is not finite"
     return ""
 
