@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from longreach.errors import EstimationError
-from longreach.geometry import se2, se3, so3
+from longreach.geometry import _eigen_kernels, se2, se3, so3
 from longreach.measurement import LaserScan
-from longreach.odometry import _eigen_kernels, _pyramid_kernels, _range_flow_kernels
+from longreach.odometry import _pyramid_kernels, _range_flow_kernels
 from longreach.odometry.range_flow import RangeFlowConfig, init, lidar_odometry, step
 
 # an irregular closed room of 5 walls and two pillars

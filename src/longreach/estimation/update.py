@@ -14,9 +14,8 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
-from longreach.estimation import ekf, motion
+from longreach.estimation import _own_kernels, ekf, motion
 from longreach.estimation.blame import blamed, drifting
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.noise import AS_STATED, LEAST, learned, parts_of, scaled
@@ -96,23 +95,10 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
         own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, AS_STATED)
         P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(own, noise.deviations))
         now = now._replace(P=P, anchors={**now.anchors, match.source: placed._replace(own=own)})
-    A = se2.adjoint(se2.inverse(match.pose))
-    return now, replace(match, covariance=_less(match.covariance, A @ own @ A.T), shared_covariance=None)
-
-
-def _less(C: Float[np.ndarray, "3 3"], shared: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return C - shared, but in every direction at least the part `_OWN` of C."""
-    if ekf.is_definite((1.0 - _OWN) * C - shared):
-        return C - shared
-    scale = np.sqrt(np.diag(C))
-    try:
-        L = scale[:, None] * np.linalg.cholesky(C / np.outer(scale, scale))
-    except np.linalg.LinAlgError:
-        return C
-    half = np.linalg.solve(L, shared)
-    w, V = np.linalg.eigh(np.linalg.solve(L, half.T))
-    M = L @ V
-    return (M * np.maximum(1.0 - w, _OWN)) @ M.T
+    R = np.empty((3, 3))
+    if not _own_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
+        R = match.covariance
+    return now, replace(match, covariance=R, shared_covariance=None)
 
 
 def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:

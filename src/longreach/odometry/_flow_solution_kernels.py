@@ -5,8 +5,8 @@ Rows A (3, m), b (m,) of ρ = b + Aᵀ ξ. Weights are Cauchy's, 1/(1 + (kρ)²)
 
 import numpy as np
 
+from longreach.geometry._eigen_kernels import solve_in_basis, symmetric_eigen
 from longreach.kernels import kernel
-from longreach.odometry._eigen_kernels import solve_in_basis, symmetric_eigen
 from longreach.odometry._rank_kernels import smallest
 
 

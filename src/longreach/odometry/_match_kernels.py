@@ -8,9 +8,9 @@ from collections import namedtuple
 
 import numpy as np
 
+from longreach.geometry._eigen_kernels import symmetric_eigen
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp
 from longreach.kernels import kernel
-from longreach.odometry._eigen_kernels import symmetric_eigen
 from longreach.odometry._match_covariance_kernels import carry_covariance, line_covariance
 from longreach.odometry._pyramid_kernels import _atan_ratio
 from longreach.odometry._rank_kernels import smallest
