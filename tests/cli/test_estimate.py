@@ -266,7 +266,7 @@ def test_a_recording_that_is_not_there_is_said(refused, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("lidar: {level: 3}", "c.yaml: lidar.level is not a key here; there are: iterations, gate"),
+        ("lidar: {level: 3}", "c.yaml: lidar.level is not a key here; there are: method, iterations, gate"),
         ("filter: {history: -1}", "c.yaml: filter.history is -1: input should be greater than or equal to 0."),
         ("sources: wheels", "c.yaml: sources is 'wheels': input should be a valid tuple."),
         ("filter: [", "c.yaml, line 1: this is not YAML"),
