@@ -40,12 +40,6 @@ def solve(L, b, x):
 
 
 @kernel
-def is_definite(S):
-    """Tell whether S is positive definite."""
-    return cholesky(S, np.empty(S.shape))
-
-
-@kernel
 def squared_norm(S, r):
     """rᵀ S⁻¹ r, or 0 where S is not positive definite."""
     L, x = np.empty(S.shape), np.empty(len(r))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _anchor_kernels, _cholesky_kernels, _kernels
+from longreach.estimation import _anchor_kernels, _kernels
 from longreach.estimation.motion import Counter, MotionModel
 
 BODY, SCALE = _kernels.BODY, _kernels.SCALE
@@ -78,11 +78,6 @@ def innovation_covariance(
 ) -> Float[np.ndarray, "k k"]:
     """Return S = H P Hᵀ + R."""
     return _kernels.innovation_covariance(P, H, R)
-
-
-def is_definite(S: Float[np.ndarray, "k k"]) -> bool:
-    """Tell whether S is positive definite."""
-    return _cholesky_kernels.is_definite(S)
 
 
 def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
