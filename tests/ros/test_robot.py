@@ -64,9 +64,9 @@ def test_our_hardware_drives_base_and_arm_and_lets_go(thing, robot, other, arm):
     least, most = 0.3 * took, took + 0.5
     sure = np.array(velocity) != 0.0
     part = moved[sure] / np.array(velocity)[sure]
-    assert np.all((part > least) & (part < most)), (part, took)
-    np.testing.assert_allclose(moved[~sure], 0.0, atol=0.01)
     forward = np.linalg.norm((after - before)[:2]) / 0.2
+    assert np.all((part > least) & (part < most)), (part, forward, took, counts)
+    np.testing.assert_allclose(moved[~sure], 0.0, atol=0.01)
     assert least < forward < most
     assert still
     assert all(count > 10 for count in counts.values()), counts
