@@ -154,7 +154,7 @@ def browser():
 @pytest.fixture
 def page(browser):
     """A page of phone width whose errors are kept in `page.errors`."""
-    opened = browser.new_page(viewport={"width": 390, "height": 480})
+    opened = browser.new_page(viewport={"width": 390, "height": 480}, device_scale_factor=0.5)  # a fourth of the pixels
     opened.set_default_timeout(30_000)
     errors = opened.errors = []
     opened.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
