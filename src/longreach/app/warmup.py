@@ -1,6 +1,7 @@
 """Compile kernels before they are needed, and say so: once on a machine, and again only what a new version changed."""
 
 import hashlib
+import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -52,7 +53,8 @@ def warm_up(progress: Progress | None = None, *rooms: str) -> Path:
         return cache_root()
     stage = f"compiling {', '.join(cold)} (first run only)"
     tell(stage, 0.0)
-    processes = 1 if len(cold) == 1 else -1
+    beside = threading.current_thread() is not threading.main_thread()  # who is not to be held up by the compiler
+    processes = 1 if len(cold) == 1 and not beside else -1
     jobs = Parallel(n_jobs=processes, return_as="generator_unordered")(delayed(_compile)(room) for room in cold)
     for done, room in enumerate(jobs, 1):
         marks[str(room)].touch()

@@ -81,6 +81,8 @@ def _serve(server: object, loop: object, browser: bool, duration: float | None) 
 def _show_robot(
     address: str, token: str | None, certificates: Path | None, port: int, browser: bool, duration: float | None
 ) -> None:
+    from functools import partial
+
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.live.client import connect
@@ -89,8 +91,9 @@ def _show_robot(
     from longreach.view.page import open_page
 
     with shown_progress() as progress:
-        warm_up(progress, "kinematics", "task priority")  # so that the first plan is there at once
+        warm_up(progress, "kinematics")
     prompt()
     with connect(address, token, certificates=certificates, name="page") as client:
         server = open_page(port=port)
-        _serve(server, Cockpit(server, client).loop, browser, duration)
+        ready = partial(warm_up, None, "task priority")  # the robot is seen and driven meanwhile
+        _serve(server, Cockpit(server, client, prepare=ready).loop, browser, duration)

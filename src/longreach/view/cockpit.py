@@ -37,9 +37,14 @@ _SHOWN = ("estimate", "wheels", "truth", "scan", "map", "base driven", "tool dri
 
 
 class Cockpit:
-    """Scene, controls and plots of one client in a viser server; `loop` keeps them up to date."""
+    """Scene, controls and plots of one client in a viser server; `loop` keeps them up to date.
 
-    def __init__(self, server: Any, client: Commanded, folder: Path = Path("out")) -> None:
+    prepare: what planning needs, done beside while all the rest works already.
+    """
+
+    def __init__(
+        self, server: Any, client: Commanded, folder: Path = Path("out"), prepare: Callable[[], object] | None = None
+    ) -> None:
         self.client, self._server, self._folder = client, server, folder
         robot, q = client.robot, client.state.q
         self.scene = Scene(server, robot, q[:2] if robot.base.stop else np.zeros(2), 2.2)
@@ -47,7 +52,7 @@ class Cockpit:
         self.preview = Preview(self.scene, server, robot)
         self.map = GrowingMap(self.scene)
         self._twist, self._until, self._started = np.zeros(3), 0.0, 0.0
-        self._dragging = self._busy = False
+        self._dragging, self._busy = False, ""
         self._session: Session | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
         self._follower = Follower(server)
@@ -55,6 +60,8 @@ class Cockpit:
         self._ways: deque[tuple[float, np.ndarray]] = deque([(client.state.stamp, q[:3])], maxlen=_RECENT)
         self._unwatch = client.on_state(lambda state: self._ways.append((state.stamp, state.q[:3])))
         self._add_controls()
+        if prepare is not None:
+            self._work(prepare, "getting ready to plan …")
 
     def _add_controls(self) -> None:
         gui, client = self._server.gui, self.client
@@ -170,17 +177,17 @@ class Cockpit:
         except LongreachError as error:
             self._tell("That did not work", str(error))
 
-    def _work(self, action: Callable[[], None]) -> None:
-        """Do what takes a while beside the loop, one such thing at a time."""
+    def _work(self, action: Callable[[], object], what: str = "planning …") -> None:
+        """Do what takes a while beside the loop, one such thing at a time, and say what."""
         if self._busy:
             return
-        self._busy = True
+        self._busy = what
 
         def work() -> None:
             try:
                 self._try(action)
             finally:
-                self._busy = False
+                self._busy = ""
 
         threading.Thread(target=work, daemon=True).start()
 
@@ -245,7 +252,7 @@ class Cockpit:
             f"⚠ silent for {age:.1f} s" if age > _SILENT else f"**stopped**: {state.stop}" if state.stop else state.goal
         )
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
-        planning = " · **planning …**" if self._busy else ""
+        planning = f" · **{self._busy}**" if self._busy else ""
         text = f"{word}{done}{planning} · held by {held} · loop {1e3 * state.loop_time:.1f} ms"
         if self._status.content != text:
             self._status.content = text
