@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from keyframe_events import unchecked
 
+from longreach.estimation.blame import drifting
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.fusion import Anchor, in_order, init, step
 from longreach.estimation.observation import PlanarImu
@@ -104,3 +105,20 @@ def test_without_a_gate_nobody_is_blamed(rng):
     assert state.history[-1].doubts == {}
     assert state.history[-1].drift == 0.0
     assert np.all(np.isfinite(errors))
+
+
+def test_a_jump_of_the_gyros_bias_is_found_in_four_headings_and_none_in_white_noise(rng):
+    start = init(0.0, np.zeros(3), None, CONFIG).history[-1]
+
+    def first_jump(headings):
+        now = start
+        for i, innovation in enumerate(headings, 1):
+            after = drifting(CONFIG, now, innovation, 1e-6)
+            if after.P[9, 9] > start.P[9, 9]:
+                return i
+            now = after
+        return None
+
+    assert first_jump(3e-3 * np.ones(20)) == 4
+    assert first_jump(-3e-3 * np.ones(20)) == 4
+    assert first_jump(1e-3 * rng.standard_normal(20_000)) is None

@@ -157,8 +157,8 @@ def test_a_guide_that_is_wrong_by_a_third_ends_at_the_same_pose(rng):
         lidar_odometry(scans, NOWHERE, guides=[None, f * np.array([0.2, 0.0, 0.1])])[0].measurement.pose
         for f in (0.7, 1.0, 1.3)
     ]
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-3)
-    np.testing.assert_allclose(ends[2], ends[1], atol=1e-3)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-4)  # a tenth of what the noise does to it
+    np.testing.assert_allclose(ends[2], ends[1], atol=1e-4)
 
 
 def test_a_guide_that_is_not_finite_is_as_good_as_none():

@@ -8,8 +8,10 @@ from room_scans import CORRIDOR, NOWHERE, STEP, along, error_of, scan_at, scans_
 
 from longreach.geometry import se2, se3, so3
 from longreach.measurement import LaserScan
-from longreach.odometry import range_flow
+from longreach.odometry import range_flow, symmetric_flow
+from longreach.odometry._symmetric_flow_kernels import warp_segments
 from longreach.odometry.lidar import LidarConfig, lidar_odometry
+from longreach.odometry.scan_geometry import scan_geometry
 
 SYMMETRIC = [LidarConfig(method="keyscan-flow"), LidarConfig(method="three-scan-flow")]
 symmetric = pytest.mark.parametrize("config", SYMMETRIC, ids=lambda config: config.method)
@@ -88,3 +90,31 @@ def test_identical_scans_are_no_motion_with_a_definite_covariance(config):
     for match in lidar_odometry(scans_along(along(np.zeros(3), 3)), NOWHERE, config):
         np.testing.assert_allclose(match.measurement.pose, 0.0, atol=1e-4)
         assert np.linalg.eigvalsh(match.measurement.covariance).min() > 0
+
+
+@pytest.mark.parametrize("three", [False, True])
+def test_what_is_not_known_of_the_last_scan_goes_on_where_it_has_a_say(three, rng):
+    scans = scans_along(along(STEP, 2), rng=rng)
+    geometry = scan_geometry(scans[0], NOWHERE, 5)
+    key, last, new = (symmetric_flow.keyscan_of(s.ranges, (0.0, 100.0), geometry, np.zeros(3), 0.0) for s in scans)
+    pose, guess, doubt = se2.exp(se2.log(STEP)), se2.compose(STEP, STEP), np.full(3, 0.1)
+
+    def variance(P):
+        found = symmetric_flow.fit(new, key, last, (pose, P), three, geometry, guess, doubt, np.ones(3))
+        return np.trace(found.covariance)
+
+    known, vague = variance(np.zeros((3, 3))), variance(0.01 * np.eye(3))
+    if three:
+        assert known + 0.1 * 0.03 < vague < known + 0.6 * 0.03 + 0.01  # about half of a deviation is a fourth of it
+    else:
+        assert vague == known
+
+
+@pytest.mark.parametrize("farthest", [False, True])
+def test_of_two_surfaces_in_one_direction_the_nearer_is_seen_or_the_farther(farthest):
+    n = 90
+    angles = -0.45 + 0.01 * np.arange(n)
+    r, warped = np.where(np.arange(n) < 45, 2.0, 4.0), np.empty(n)
+    warp_segments(r, np.cos(angles), np.sin(angles), 0.01, 0.0, 0.5, 0.0, farthest, warped, np.empty((2, n)))
+    both = warped[60:67]  # 0.5 m sideways move the near one by 14 degrees, and the far one, behind it now, by 7
+    np.testing.assert_allclose(both, 4.1 if farthest else 2.0, atol=0.1)
