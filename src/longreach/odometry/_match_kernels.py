@@ -189,7 +189,8 @@ def match_points(
 
     mount (3,): the laser in the base. Fills the base's pose (3,) seen from its pose at the keyframe, the covariance and
     its shared part (3, 3), and told (3,): which columns of V, directions of ξ, the scan tells.
-    Returns the rows, the scale of the residuals [m], and how many rows agree but for noise.
+    Returns the rows, the scale of the residuals [m], NaN where something is not finite, and how many rows agree but for
+    noise.
     """
     n = len(r)
     rows, space = np.empty((ROWS, n * len(lines))), np.empty(n * len(lines))
@@ -213,4 +214,4 @@ def match_points(
     se2_adjoint(mount[0], mount[1], mount[2], adjoint)
     carry_covariance(adjoint, local, covariance)
     carry_covariance(adjoint, common, shared)
-    return m, scale, total
+    return m, scale if math.isfinite(pose.sum() + covariance.sum()) else math.nan, total

@@ -230,7 +230,7 @@ def fit_scan(
 
     seen (3,), P_seen (3, 3): where the base was at the last scan, seen from the keyscan, and its covariance.
     Fills the base's pose (3,), its covariance (3, 3), and which columns of V are told.
-    Returns the rows, the scale of the residuals [m], and how many of them agree.
+    Returns the rows, the scale of the residuals [m], NaN where something is not finite, and how many of them agree.
     """
     n = start[1]
     work, A, b = np.empty((7, n)), np.empty((7, 2 * n)), np.empty(2 * n)
@@ -268,4 +268,4 @@ def fit_scan(
     x, y, t = se2_compose(mount[0], mount[1], mount[2], x, y, t)  # and the base
     se2_adjoint(x, y, t, adjoint)
     carry_covariance(adjoint, P, covariance)
-    return m, scale, agree
+    return m, scale if math.isfinite(pose.sum() + covariance.sum()) else math.nan, agree

@@ -121,7 +121,7 @@ def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np
 
     def from_guess(moved: np.ndarray) -> Fit:
         far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
-        doubt = config.doubt + 0.3 * np.array([far, far, turned])
+        doubt = np.array([config.doubt + 0.3 * far, config.doubt + 0.3 * far, config.doubt + 0.3 * turned])
         guess, geometry = se2.compose(reference.pose, moved), reference.geometry
         if isinstance(reference.lines, Lines):
             return point_to_line.fit(points, reference.lines, geometry, config.lines, guess, doubt, free)
@@ -178,7 +178,7 @@ def _wrong(found: Fit, points: Points) -> str:
         return f"only {found.rows} beams see something that the keyframe saw"
     if found.support < _LEAST_SUPPORT:
         return f"only {100 * found.support:.0f} % of the beams agree with the keyframe"
-    if not math.isfinite(found.pose.sum() + found.covariance.sum()):
+    if not math.isfinite(found.scale):
         return "the match is not finite"
     return ""
 
@@ -236,7 +236,7 @@ def _matched(
         references = _restarted(state, scan, reference.geometry, points, moved, place).references
     else:
         references = tuple(
-            replace(known, pose=found.pose, covariance=found.covariance, last=points, lost=0)
+            Reference(known.stamp, known.geometry, known.lines, points, found.pose, found.covariance)
             if i == place
             else replace(known, pose=se2.compose(known.pose, moved))
             for i, known in enumerate(state.references)

@@ -39,7 +39,7 @@ class Fit:
 
 def directions_of(told: np.ndarray, V: np.ndarray, reach: float, geometry: ScanGeometry) -> np.ndarray:
     """Return the directions of the base's ξ that are not told, as rows of length 1."""
-    if told.all():
+    if told[0] and told[1] and told[2]:
         return np.zeros((0, 3))
     found = V.T[told == 0.0] / np.array([1.0, 1.0, reach])
     x, y, t = geometry.pose_base_laser
