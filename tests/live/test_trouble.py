@@ -26,7 +26,7 @@ _BUSY = """
 import sys, time, longreach as lr
 client = lr.connect(sys.argv[1], name="the busy one")
 client.take()
-while not client._line._pulse.beat():
+while not (client._line._pulse and client._line._pulse.beat()):
     time.sleep(0.02)
 print("busy", flush=True)
 began = time.monotonic()

@@ -12,6 +12,7 @@ from longreach.robot.urdf import Shape
 
 _PLAIN = (0.6, 0.62, 0.66, 1.0)
 _SIDES = 48
+_BLACK = 30  # of 255, so that a black robot has edges
 
 
 def quaternion(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
@@ -117,7 +118,7 @@ def _add_shape(scene: Any, name: str, shape: Shape, colour: tuple[int, int, int]
     if shape.kind == "mesh":
         return  # a primitive shape beside it is what collides
     if colour is None:
-        colour = tuple(round(255 * c) for c in (shape.colour or _PLAIN)[:3])  # type: ignore[assignment]
+        colour = tuple(round(_BLACK + (255 - _BLACK) * c) for c in (shape.colour or _PLAIN)[:3])  # type: ignore[assignment]
     solid = opacity >= 1.0
     look = {"color": colour, "opacity": _opaque(opacity), "cast_shadow": solid, "receive_shadow": solid}
     if shape.kind == "box":

@@ -33,7 +33,16 @@ def open_page(host: str = "127.0.0.1", port: int = 8080) -> Any:
     )
     server.gui.set_panel_label("longreach")
     overlay.add_layout(server)
+    _add_lights(server.scene)
     return server
+
+
+def _add_lights(scene: Any) -> None:
+    """Light the scene by lamps: viser's picture of surroundings takes a software renderer five seconds to prepare."""
+    scene.configure_environment_map(hdri=None)
+    above = {"sky_color": (255, 255, 255), "ground_color": (120, 124, 130), "intensity": 2.0}
+    scene.add_light_hemisphere("/sky", position=(0.0, 0.0, 1.0), **above)
+    scene.add_light_directional("/window", position=(-2.0, 0.5, 1.0), intensity=0.7, cast_shadow=False)
 
 
 def close_page(server: Any) -> None:
