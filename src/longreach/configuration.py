@@ -55,7 +55,7 @@ class ConfigurationTrajectory:
             raise PlanningError(f"There are {len(self.joint_names)} joint names for {shape[1]} joints.")
 
     def _freeze(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
-        array = np.array(value, dtype=float)
+        array = np.array(value, dtype=float, order="C")
         if array.shape != shape:
             raise PlanningError(f"A trajectory's {name} has shape {array.shape}, expected {shape}.")
         if not np.all(np.isfinite(array)):

@@ -21,7 +21,7 @@ _NANOSECONDS = 1e14  # seconds since 1970 stay below 1e10 until the year 2286
 
 def frozen_array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """Return a read-only float copy of `value`, or raise RecordingError when its shape is not `shape` (None: any)."""
-    array = np.array(value, dtype=float)
+    array = np.array(value, dtype=float, order="C")  # so that kernels are compiled for one order only
     if array.shape != shape and (
         array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True))
     ):

@@ -18,9 +18,11 @@ from longreach.control import base_velocity, interpolation, safety, safety_check
 from longreach.control.hardware import Command
 from longreach.errors import ConfigError
 from longreach.estimation.spatial import estimate_in_space
+from longreach.geometry import se3, so3
 from longreach.io.config import load_description
 from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
+from longreach.measurement import PoseMeasurement, frozen_array
 from longreach.odometry.lidar import lidar_odometry
 from longreach.planning.inverse_kinematics import all_solutions, solve_ik
 from longreach.planning.obstacles import Disc
@@ -77,7 +79,8 @@ def _estimation() -> None:
     thing = load_description("thing")
     recording = make_recording(thing, duration=1.0, lidar_rate=10.0, beams=90)
     estimate(recording, thing, EstimateConfig(sources=("wheels", "imu")))  # while another process may compile _scans
-    estimate(recording, thing, EstimateConfig())
+    fix = PoseMeasurement(0.5, np.zeros(3), np.eye(3), source="fixes")
+    estimate(recording.replace(fixes=(fix,)), thing, EstimateConfig())
 
 
 def _scans() -> None:
@@ -88,14 +91,18 @@ def _scans() -> None:
 def _kinematics() -> None:
     thing = load_robot("thing")
     q = thing.home
-    thing.forward(q)
-    thing.forward(np.stack([q, q]))
-    thing.forward_and_jacobian(q)
-    thing.forward_and_jacobian_batch(np.stack([q, q]))
+    frozen = frozen_array(np.stack([q, q]), (2, None), "two")  # as trajectories hold them
+    for rows in (np.stack([q, q]), frozen):
+        thing.forward(rows)
+        thing.forward(rows[0])
+        thing.forward_and_jacobian(rows[0])
+        thing.forward_and_jacobian_batch(rows)
     thing.hessian(q)
     manipulability(thing, q)
     solve_ik(thing, thing.forward(q), q)
     all_solutions(thing, thing.forward(q))
+    se3.retract(thing.forward(q), se3.right_jacobian(se3.log(thing.forward(q)))[0])
+    so3.log(so3.exp(np.zeros(3)))
 
 
 def _task_priority() -> None:

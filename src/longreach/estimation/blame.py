@@ -7,6 +7,7 @@ import numpy as np
 
 from longreach.estimation import _cholesky_kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.noise import AS_STATED, steps_of, worse
 from longreach.estimation.observation import Measurement, Observation
 from longreach.estimation.snapshot import Doubt, Snapshot
 from longreach.geometry import se2
@@ -40,11 +41,11 @@ def blamed(
         return now._replace(doubts=_without(now.doubts, source)) if source in now.doubts else now
     doubts = _without(now.doubts, source)
     for counter, added in now.steps.items():
-        M, Q = _moving(now, counter, source, at), np.sum(added, axis=0)
+        M, Q = moving(now, counter, source, at), np.sum(added, axis=0)
         HM = H @ M
         for s in _SLIPS:
             if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
-                return now._replace(P=loosened(now.P, M, s * Q), doubts=doubts)
+                return _slipped(config, now._replace(P=loosened(now.P, M, s * Q), doubts=doubts), counter, 1.0 + s)
     if source in now.steps:
         return now
     xi, before = np.linalg.lstsq(H[:, at : at + 3], r, rcond=None)[0], now.doubts.get(source)
@@ -54,11 +55,19 @@ def blamed(
         return now._replace(doubts={**doubts, source: Doubt(times, xi)})
     P = now.P
     for counter in now.steps or ("",):
-        P = loosened(P, _moving(now, counter, source, at), np.outer(xi, xi))
+        P = loosened(P, moving(now, counter, source, at), np.outer(xi, xi))
     return now._replace(P=P, doubts=doubts)
 
 
-def _moving(now: Snapshot, counter: str, source: str, at: int) -> np.ndarray:
+def _slipped(config: FilterConfig, now: Snapshot, counter: str, factor: float) -> Snapshot:
+    """Let the steps to come be as noisy as those that slipped, until innovations tell otherwise."""
+    if config.noise_memory == 0.0:
+        return now
+    name = steps_of(counter)
+    return now._replace(noise={**now.noise, name: worse(now.noise.get(name, AS_STATED), factor)})
+
+
+def moving(now: Snapshot, counter: str, source: str, at: int) -> np.ndarray:
     """Return how an error of the pose (3,), which a counter has made, is in the whole state (n, 3).
 
     Where the counter's own reading tells, the error is its anchor's alone.

@@ -39,6 +39,17 @@ class Noise(NamedTuple):
 AS_STATED = Noise()
 
 
+def steps_of(source: str) -> str:
+    """Return the name under which the noise of a counter's steps is kept; that of its readings has the source's."""
+    return f"{source}, steps"
+
+
+def worse(noise: Noise, factor: float) -> Noise:
+    """Return a noise whose variances are a factor larger, as far as they may, and soon judged anew."""
+    log = np.minimum(noise.log + math.log(factor), _HIGHEST)
+    return Noise(log, np.full(2, _FIRST), np.exp(0.5 * log)[[0, 0, 1]])
+
+
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """Return D R D."""
     return covariance * (deviations[:, None] * deviations)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from longreach.errors import EstimationError
 from longreach.estimation.noise import Noise
 from longreach.estimation.observation import Measurement
+from longreach.estimation.slip import NO_SLIP, Slip
 from longreach.measurement import RelativePoseMeasurement
 
 _NOTHING = np.zeros(0)
@@ -91,7 +92,7 @@ class Snapshot(NamedTuple):
 
     steps: by counter, what its steps have added (2, 3, 3) to the covariance of the pose since another source told it,
     through translations and through turns. doubts: by source, what it has said beyond the gate without a break.
-    drift: cumulative sum of the innovations of headings, each over its deviation.
+    slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
@@ -104,5 +105,6 @@ class Snapshot(NamedTuple):
     noise: Mapping[str, Noise] = {}
     steps: Mapping[str, np.ndarray] = {}
     doubts: Mapping[str, Doubt] = {}
+    slip: Slip = NO_SLIP
     drift: float = 0.0
     links: tuple[Link, ...] | None = None

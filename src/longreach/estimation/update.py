@@ -9,6 +9,7 @@ differently:
   common with those to come, is counted once.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
@@ -16,10 +17,11 @@ from typing import Literal
 import numpy as np
 
 from longreach.estimation import _own_kernels, ekf, motion
-from longreach.estimation.blame import blamed, drifting
+from longreach.estimation.blame import blamed, drifting, loosened, moving
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import AS_STATED, LEAST, learned, parts_of, scaled
+from longreach.estimation.noise import AS_STATED, LEAST, learned, parts_of, scaled, steps_of
 from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
+from longreach.estimation.slip import corrected, way
 from longreach.estimation.snapshot import Anchor, Correction, Event, Link, Placed, Snapshot, Tally
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
@@ -41,11 +43,40 @@ def take(
     if dt > 0.0:
         mean, P = ekf.predict(config.motion, now.mean, now.P, dt)  # (3.28)
         now = _linked(now, lambda: motion.transition(config.motion, now.mean, dt)[1])._replace(mean=mean, P=P)
+        if now.slip.variance.any():
+            now = _slipped(now, before.key[0])
     if isinstance(event, Anchor):
-        return _anchored(config, now, event)
-    if isinstance(event, RelativePoseMeasurement):
-        now, event = _carried(config, now, event) if event.reading_covariance is not None else _apart(now, event)
-    return _corrected(config, now, event)
+        return _slip_seen(config, now, *_anchored(config, now, event))
+    if not isinstance(event, RelativePoseMeasurement):
+        return _corrected(config, now, event)
+    if event.reading_covariance is not None:
+        return _corrected(config, *_carried(config, now, event))
+    now, event = _apart(now, event)
+    return _slip_seen(config, now, *_corrected(config, now, event))
+
+
+def _slipped(now: Snapshot, since: float) -> Snapshot:
+    """Move the pose, and where counters say that it is, by what the wheels have slipped since then."""
+    xi, variance = way(now.slip, math.hypot(now.mean[3], now.mean[4]), since, now.key[0])
+    mean, P = now.mean.copy(), now.P
+    mean[:3] = se2.retract(mean[:3], xi)
+    for counter in now.steps:
+        i = ekf.BODY + 3 * now.anchors[counter].number
+        mean[i : i + 3] = se2.retract(mean[i : i + 3], xi)
+        P = loosened(P, moving(now, counter, "", 0), np.diag(variance))
+    mean.flags.writeable = False
+    return now._replace(mean=mean, P=P)
+
+
+def _slip_seen(
+    config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction
+) -> tuple[Snapshot, Correction]:
+    """Learn how the wheels slip from how far the pose was off, and where it was moved to."""
+    if config.noise_memory == 0.0 or correction.dof < 3 or not before.steps:
+        return after, correction
+    xi = se2.difference(before.mean[:3], after.mean[:3])
+    slip = corrected(before.slip, correction.innovation, xi, correction.stamp, config.counter.led)
+    return after._replace(slip=slip), correction
 
 
 def _linked(now: Snapshot, M: Callable[[], np.ndarray]) -> Snapshot:
@@ -93,6 +124,7 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
     if own is None:
         A = se2.adjoint(match.pose)
         own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, AS_STATED)
+        own.flags.writeable = False
         P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(own, noise.deviations))
         now = now._replace(P=P, anchors={**now.anchors, match.source: placed._replace(own=own)})
     R = np.empty((3, 3))
@@ -128,11 +160,6 @@ def _carried(
     anchors = {**now.anchors, step.source: placed._replace(stamp=step.stamp)}
     at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
     return _linked(now, lambda: T)._replace(mean=mean, P=P, anchors=anchors, steps=steps), at_anchor
-
-
-def steps_of(source: str) -> str:
-    """Return the name under which the noise of a counter's steps is kept; that of its readings has the source's."""
-    return f"{source}, steps"
 
 
 def _corrected(

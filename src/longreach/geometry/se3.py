@@ -19,7 +19,7 @@ def from_rotation_translation(R: Float[np.ndarray, "3 3"], p: Float[np.ndarray, 
 
 def exp(xi: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
     """Move from the identity by the twist ξ for one second."""
-    rows = np.array(xi, dtype=float).reshape(-1, 6)
+    rows = np.array(xi, dtype=float, order="C").reshape(-1, 6)
     out = np.empty((len(rows), 4, 4))
     _kernels.se3_exp_all(rows, out)
     return out.reshape(*np.shape(xi)[:-1], 4, 4)
@@ -27,7 +27,7 @@ def exp(xi: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
 
 def log(T: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
     """Return the twist ξ, |ω| ≤ π, with exp(ξ) = T; precise near 0 and near π."""
-    rows = np.array(T, dtype=float).reshape(-1, 4, 4)
+    rows = np.array(T, dtype=float, order="C").reshape(-1, 4, 4)
     out = np.empty((len(rows), 6))
     _kernels.se3_log_all(rows, out)
     return out.reshape(*np.shape(T)[:-2], 6)

@@ -16,7 +16,7 @@ def hat(w: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 def exp(w: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the rotation about ω by |ω|."""
-    rows = np.array(w, dtype=float).reshape(-1, 3)
+    rows = np.array(w, dtype=float, order="C").reshape(-1, 3)
     out = np.empty((len(rows), 3, 3))
     _kernels.so3_exp_all(rows, out)
     return out.reshape(*np.shape(w), 3)
@@ -24,7 +24,7 @@ def exp(w: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
 
 def log(R: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
     """Return the rotation vector ω, |ω| ≤ π, with exp(ω) = R; precise near 0 and near π."""
-    rows = np.array(R, dtype=float).reshape(-1, 3, 3)
+    rows = np.array(R, dtype=float, order="C").reshape(-1, 3, 3)
     out = np.empty((len(rows), 3))
     _kernels.so3_log_all(rows, out)
     return out.reshape(np.shape(R)[:-1])

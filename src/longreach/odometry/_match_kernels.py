@@ -60,6 +60,13 @@ def line_rows(x, y, r, cos, sin, increment, beams, lines, pose, grazing, m, rows
     return m
 
 
+@kernel(fastmath=True)
+def move_rows(rows, m, dx, dy, dt):
+    """Change the distances e by a small motion ξ of the laser in its own frame: a · ξ."""
+    for i in range(m):
+        rows[3, i] += rows[0, i] * dx + rows[1, i] * dy + rows[2, i] * dt
+
+
 @kernel
 def robust_scale(rows, m, space):
     """1.4826 times the median of the residuals, each over its own deviation: their σ where most of them are good."""
@@ -146,17 +153,21 @@ def align(
 
     beams (k, n), lines (k, n, 5), places (k, 3): of k references, and where each laser was, seen from the first one's.
     Along directions that are not told the pose stays where it was put. Returns the rows, the scale of the residuals
-    and the sum of the robust weights.
+    and the sum of the robust weights. After a step that is smaller than the noise, points stay on their lines.
     """
-    m, scale, total = 0, 0.0, 0.0
+    m, scale, total, step = 0, 0.0, 0.0, math.inf
     gx, gy, gt = pose[0], pose[1], pose[2]
     prior, d, seen = np.empty((2, 3)), np.empty(3), np.empty(3)
     told[:] = 1.0
     for iteration in range(settings.iterations):
-        m = 0
-        for k in range(len(lines)):
-            seen[0], seen[1], seen[2] = se2_between(places[k, 0], places[k, 1], places[k, 2], pose[0], pose[1], pose[2])
-            m = line_rows(x, y, r, cos, sin, increment, beams[k], lines[k], seen, settings.grazing, m, rows)
+        if step < noise:
+            move_rows(rows, m, d[0], d[1], d[2] / reach)
+        else:
+            m = 0
+            for k in range(len(lines)):
+                px, py, pt = se2_between(places[k, 0], places[k, 1], places[k, 2], pose[0], pose[1], pose[2])
+                seen[0], seen[1], seen[2] = px, py, pt
+                m = line_rows(x, y, r, cos, sin, increment, beams[k], lines[k], seen, settings.grazing, m, rows)
         if m < 6:
             return m, 0.0, 0.0
         worst = settings.worst * noise * max(1.0, 10.0 * 0.5**iteration)
@@ -175,7 +186,8 @@ def align(
                     d[i] += V[i, k] * along
         dx, dy, dt = se2_exp(d[0], d[1], d[2] / reach)
         pose[0], pose[1], pose[2] = se2_compose(pose[0], pose[1], pose[2], dx, dy, dt)
-        if abs(d[0]) + abs(d[1]) + abs(d[2]) < 0.1 * noise * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
+        step = abs(d[0]) + abs(d[1]) + abs(d[2])
+        if step < 0.1 * noise * math.sqrt(3.0 / m) + 1e-9 and iteration > 0:
             break
     return m, scale, total
 

@@ -206,7 +206,7 @@ def follow(
     n, M, levels = len(q), len(ranged), len(starts) - 1
     T, J, e, A = np.empty((4, 4)), np.empty((6, n)), np.empty(M), np.zeros((M, n))
     low, high, dq, expected, none = np.empty((2, n)), np.empty((2, n)), np.zeros(n), np.zeros(M), np.zeros(M)
-    memory = remember(M, n, levels)
+    memory, found = remember(M, n, levels), np.empty(sizes.shape[:2])
     lengths, (predicted, missed) = memory[0][1], memory[2]
     forward_jacobian(fixed, prismatic, q, T, J)
     for k in range(len(targets)):
@@ -238,4 +238,5 @@ def follow(
                 missed[r] = 0.0
         for j in range(n):
             Q[k, j] = q[j]
-        gauge(e, ranged, lower, upper, owner, angular, sizes[:, :, k])
+        gauge(e, ranged, lower, upper, owner, angular, found)
+        sizes[:, :, k] = found

@@ -1,0 +1,89 @@
+"""How fast wheels slip, learned from where another source corrects the pose, one time after the other.
+
+A floor that slips does so for a while: what a scan corrects, the next corrects again, in the same direction. Taken for
+white noise, as errors of a counter's steps are, that leaves the pose behind between scans. So slip is a velocity that
+wheels do not count, axis by axis a first-order Gauss-Markov process: its variance is what the rates seen have in common
+with those before (Mehra 1970: the innovations of a filter that is right have nothing in common), the rest is noise. On
+a floor that holds there is none, and nothing is changed.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+_LASTS = 1.0  # [s], time constant of the process: as long as a base takes to start or to stop
+_MEMORY = 40.0  # corrections over which products are averaged; a second of a fast scanner
+_CHANCE = 0.3  # correlation that may come by chance: two deviations
+_FASTEST = 1.0  # [m/s, rad/s]: what is more is a bump
+_GAP = 0.5  # [s] between corrections, after which the last does not tell of the next
+
+
+class Slip(NamedTuple):
+    """The velocity ξ [m/s, m/s, rad/s] that wheels do not count (3,), its variance (3,), and what it is learned from.
+
+    together, alone (3,): means of the products of a rate seen with the one before the last, and with itself. For what
+    one correction leaves is seen again with the next, so that neighbours share an error; those apart do not.
+    last (2, 3): the last two rates. left (3,): what the last correction left; told [s]: when that was.
+    """
+
+    rate: Float[np.ndarray, "3"] = np.zeros(3)
+    variance: Float[np.ndarray, "3"] = np.zeros(3)
+    together: Float[np.ndarray, "3"] = np.zeros(3)
+    alone: Float[np.ndarray, "3"] = np.zeros(3)
+    last: Float[np.ndarray, "2 3"] = np.zeros((2, 3))
+    left: Float[np.ndarray, "3"] = np.zeros(3)
+    told: float = -math.inf
+
+    @property
+    def lasting(self) -> Float[np.ndarray, "3"]:
+        """The variance (3,) of the process: none where corrections are as white as they may be by chance."""
+        return np.maximum(self.together - _CHANCE * self.alone, 0.0)
+
+
+NO_SLIP = Slip()
+
+
+def corrected(
+    slip: Slip, r: Float[np.ndarray, "3"], xi: Float[np.ndarray, "3"], stamp: float, led: Float[np.ndarray, "3"]
+) -> Slip:
+    """Return what is known where a source has told that the pose is off by r (3,), and it was moved by ξ (3,) for that.
+
+    led (3,): 1 in the axes in which a counter leads the pose, else 0.
+    """
+    dt, left = stamp - slip.told, r - xi
+    if not 0.0 < dt <= _GAP:
+        fading = math.exp(-dt / _LASTS) if 0.0 < dt < math.inf else 0.0
+        return slip._replace(rate=fading * slip.rate, last=np.zeros((2, 3)), left=left, told=max(stamp, slip.told))
+    fading = math.exp(-dt / _LASTS)
+    before = fading * slip.rate
+    seen = np.clip(led * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
+    together = slip.together + (seen * slip.last[0] - slip.together) / _MEMORY
+    alone = slip.alone + (seen * seen - slip.alone) / _MEMORY
+    after = Slip(before, slip.variance, together, alone, np.stack([slip.last[1], seen]), left, stamp)
+    lasting = after.lasting
+    if not lasting.any():
+        return after._replace(rate=np.zeros(3), variance=np.zeros(3))
+    variance = fading * fading * slip.variance + (1.0 - fading * fading) * lasting
+    noise = np.maximum(alone - np.maximum(together, 0.0), 0.01 * alone)
+    gain = np.divide(variance, variance + noise, out=np.zeros(3), where=lasting > 0.0)
+    rate = np.where(lasting > 0.0, before + gain * (seen - before), 0.0)
+    return after._replace(rate=rate, variance=(1.0 - gain) * variance)
+
+
+def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return ξ (3,) that is slipped from one time to another [s], and its variance; a base that stands does not slip.
+
+    speed [m/s]: of the base, as its wheels count.
+    """
+    t0, t1 = max(begin - slip.told, 0.0), max(end - slip.told, 0.0)
+    xi = _LASTS * (math.exp(-t0 / _LASTS) - math.exp(-t1 / _LASTS)) * slip.rate
+    most = math.hypot(slip.rate[0], slip.rate[1])
+    return (min(1.0, speed / most) if most > 0.0 else 1.0) * xi, _spread(slip, t1) - _spread(slip, t0)
+
+
+def _spread(slip: Slip, t: float) -> Float[np.ndarray, "3"]:
+    """Return the variance (3,) of the way slipped in t [s] since the slip was told."""
+    variance = slip.variance + slip.lasting * min(1.0, 2.0 * t / _LASTS)
+    return variance * t * t / (1.0 + 0.5 * t / _LASTS)
