@@ -15,6 +15,7 @@ from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
 _USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time; its bound, 1e-7 by chance
 _STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
+_LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match that is wrong
 _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
 
 
@@ -45,7 +46,8 @@ def blamed(
         HM = H @ M
         for s in _SLIPS:
             if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
-                return _slipped(config, now._replace(P=loosened(now.P, M, s * Q), doubts=doubts), counter, 1.0 + s)
+                loose = now._replace(P=loosened(now.P, M, s * Q), doubts=doubts)
+                return loose if source == counter else _slipped(config, loose, counter, s)
     if source in now.steps:
         return now
     xi, before = np.linalg.lstsq(H[:, at : at + 3], r, rcond=None)[0], now.doubts.get(source)
@@ -59,12 +61,13 @@ def blamed(
     return now._replace(P=P, doubts=doubts)
 
 
-def _slipped(config: FilterConfig, now: Snapshot, counter: str, factor: float) -> Snapshot:
-    """Let the steps to come be as noisy as those that slipped, until innovations tell otherwise."""
-    if config.noise_memory == 0.0:
+def _slipped(config: FilterConfig, now: Snapshot, counter: str, s: float) -> Snapshot:
+    """Let steps to come be as noisy as those that slipped, until innovations tell otherwise; a bump does not last."""
+    if config.noise_memory == 0.0 or s > _LASTING:
         return now
-    name = steps_of(counter)
-    return now._replace(noise={**now.noise, name: worse(now.noise.get(name, AS_STATED), factor)})
+    name, led = steps_of(counter), config.counter.led
+    noise = worse(now.noise.get(name, AS_STATED), 1.0 + s * led[1:])
+    return now._replace(noise={**now.noise, name: noise})
 
 
 def moving(now: Snapshot, counter: str, source: str, at: int) -> np.ndarray:

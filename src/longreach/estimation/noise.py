@@ -44,10 +44,10 @@ def steps_of(source: str) -> str:
     return f"{source}, steps"
 
 
-def worse(noise: Noise, factor: float) -> Noise:
-    """Return a noise whose variances are a factor larger, as far as they may, and soon judged anew."""
-    log = np.minimum(noise.log + math.log(factor), _HIGHEST)
-    return Noise(log, np.full(2, _FIRST), np.exp(0.5 * log)[[0, 0, 1]])
+def worse(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
+    """Return a noise whose variances are these factors larger, as far as they may, and soon judged anew."""
+    log = np.minimum(noise.log + np.log(factors), _HIGHEST)
+    return Noise(log, np.where(factors > 1.0, _FIRST, noise.information), np.exp(0.5 * log)[[0, 0, 1]])
 
 
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:

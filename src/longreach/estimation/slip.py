@@ -18,6 +18,7 @@ _MEMORY = 40.0  # corrections over which products are averaged; a second of a fa
 _CHANCE = 0.3  # correlation that may come by chance: two deviations
 _FASTEST = 1.0  # [m/s, rad/s]: what is more is a bump
 _GAP = 0.5  # [s] between corrections, after which the last does not tell of the next
+_REGULAR = 0.1  # of the time between corrections, that stamps may be off by: rates over shorter times are noise
 
 
 class Slip(NamedTuple):
@@ -26,6 +27,7 @@ class Slip(NamedTuple):
     together, alone (3,): means of the products of a rate seen with the one before the last, and with itself. For what
     one correction leaves is seen again with the next, so that neighbours share an error; those apart do not.
     last (2, 3): the last two rates. left (3,): what the last correction left; told [s]: when that was.
+    rhythm (2,): mean time between corrections, and how far off it they are [s].
     """
 
     rate: Float[np.ndarray, "3"] = np.zeros(3)
@@ -35,10 +37,13 @@ class Slip(NamedTuple):
     last: Float[np.ndarray, "2 3"] = np.zeros((2, 3))
     left: Float[np.ndarray, "3"] = np.zeros(3)
     told: float = -math.inf
+    rhythm: tuple[float, float] = (0.0, 0.0)
 
     @property
     def lasting(self) -> Float[np.ndarray, "3"]:
         """The variance (3,) of the process: none where corrections are as white as they may be by chance."""
+        if self.rhythm[1] > _REGULAR * self.rhythm[0]:
+            return np.zeros(3)
         return np.maximum(self.together - _CHANCE * self.alone, 0.0)
 
 
@@ -61,7 +66,9 @@ def corrected(
     seen = np.clip(led * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
     together = slip.together + (seen * slip.last[0] - slip.together) / _MEMORY
     alone = slip.alone + (seen * seen - slip.alone) / _MEMORY
-    after = Slip(before, slip.variance, together, alone, np.stack([slip.last[1], seen]), left, stamp)
+    mean, off = slip.rhythm
+    rhythm = mean + (dt - mean) / _MEMORY, off + (abs(dt - mean) - off) / _MEMORY
+    after = Slip(before, slip.variance, together, alone, np.stack([slip.last[1], seen]), left, stamp, rhythm)
     lasting = after.lasting
     if not lasting.any():
         return after._replace(rate=np.zeros(3), variance=np.zeros(3))

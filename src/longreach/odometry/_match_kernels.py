@@ -153,14 +153,14 @@ def align(
 
     beams (k, n), lines (k, n, 5), places (k, 3): of k references, and where each laser was, seen from the first one's.
     Along directions that are not told the pose stays where it was put. Returns the rows, the scale of the residuals
-    and the sum of the robust weights. After a step that is smaller than the noise, points stay on their lines.
+    and the sum of the robust weights. After a step below a tenth of the noise points stay on their lines.
     """
     m, scale, total, step = 0, 0.0, 0.0, math.inf
     gx, gy, gt = pose[0], pose[1], pose[2]
     prior, d, seen = np.empty((2, 3)), np.empty(3), np.empty(3)
     told[:] = 1.0
     for iteration in range(settings.iterations):
-        if step < noise:
+        if step < 0.1 * noise:
             move_rows(rows, m, d[0], d[1], d[2] / reach)
         else:
             m = 0
