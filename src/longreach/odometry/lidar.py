@@ -102,12 +102,16 @@ def step(
         return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
             scan.stamp, None, reason, 0, keyframe=True
         )
+    before = state.guided
     if guide is not None:
-        state = replace(state, guided=_mean(state.guided, se2.log(guide), period))
+        state = replace(state, guided=_mean(before, se2.log(guide), period))
     found = _best_fit(state, state.references[place], points, moved, scan.stamp)
     reason = _wrong(found, points)
     if reason:
-        return _failed(state, scan, points, moved, place, reason)
+        if guide is not None:  # it alone tells how the motion goes on
+            motion = np.array([se2.log(guide), state.motion[1] + state.guided - before])
+            state = replace(state, motion=motion)
+        return _failed(state, scan, points, moved, place, reason, guide is not None)
     return _matched(state, scan, points, place, found)
 
 
@@ -203,12 +207,13 @@ def _restarted(
 
 
 def _failed(
-    state: LidarState, scan: LaserScan, points: Points, moved: np.ndarray, place: int, reason: str
+    state: LidarState, scan: LaserScan, points: Points, moved: np.ndarray, place: int, reason: str, guided: bool
 ) -> tuple[LidarState, ScanMatch]:
     reference = state.references[place]
     if reference.lost + 1 >= _LOST and points.count >= _FEWEST_ROWS:
         state = _restarted(state, scan, reference.geometry, points, moved, place)
-        return replace(state, motion=np.zeros((2, 3))), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
+        motion = state.motion if guided else np.zeros((2, 3))
+        return replace(state, motion=motion), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
     references = tuple(
         replace(known, pose=se2.compose(known.pose, moved), lost=known.lost + (i == place))
         for i, known in enumerate(state.references)
