@@ -187,14 +187,21 @@ def test_a_scan_of_seven_beams_is_no_match_and_leaves_the_state():
     assert "7 beams" in match.reason
 
 
+def sweeps_along(poses, twists, n=360):
+    """Ranges of sweeps that begin at poses and move on by a twist each; and the angles of their beams."""
+    angles = -np.pi + 2 * np.pi / n * np.arange(n)
+    starts = [
+        [se2.compose(pose, se2.exp(twist * k / n))[None] for k in range(n)]
+        for pose, twist in zip(poses, twists, strict=True)
+    ]
+    return [np.array([cast(ROOM, at, angles[k : k + 1])[0, 0] for k, at in enumerate(swept)]) for swept in starts]
+
+
 def test_a_sweep_on_a_turning_base_is_carried_to_where_it_began(rng):
     twist, period, n = np.array([0.03, 0.0, 0.12]), 0.1, 360
-    angles, start = -np.pi + 2 * np.pi / n * np.arange(n), np.array([-1.0, 0.0, 0.0])
+    start = np.array([-1.0, 0.0, 0.0])
     poses = [start, *(se2.compose(start, se2.exp(i * twist)) for i in range(5))]  # at rest in the first scan
-    sweeps = [cast(ROOM, start[None], angles)[0]]
-    for pose in poses[1:]:
-        swept = [se2.compose(pose, se2.exp(twist * k / n))[None] for k in range(n)]
-        sweeps.append(np.array([cast(ROOM, at, angles[k : k + 1])[0, 0] for k, at in enumerate(swept)]))
+    sweeps = sweeps_along(poses, [np.zeros(3), *[twist] * 5])
     sweeps = [ranges + 0.01 * rng.standard_normal(n) for ranges in sweeps]
     guides = [None, np.zeros(3), *[se2.exp(twist)] * 4]
 
@@ -205,3 +212,17 @@ def test_a_sweep_on_a_turning_base_is_carried_to_where_it_began(rng):
         return max(np.abs(error_of(m, poses)).max() for m in found)
 
     assert worst(period / n) < 0.65 * worst(0.0)  # the mean needs a few scans after so sudden a start
+
+
+def test_a_sweep_after_a_blind_spell_is_carried_as_the_guide_says():
+    before, after = np.array([0.02, 0.01, 0.03]), np.array([-0.03, 0.0, -0.05])  # while nothing is seen it turns back
+    twists, blind = [before] * 12 + [after] * 8, range(10, 18)
+    poses = [np.array([-1.0, 0.0, 0.0])]
+    for twist in twists:
+        poses.append(se2.compose(poses[-1], se2.exp(twist)))
+    sweeps = [0.0 * r if i in blind else r for i, r in enumerate(sweeps_along(poses[:-1], twists))]
+    scans = [LaserScan(0.1 * i, r, -np.pi, 2 * np.pi / 360, time_increment=0.1 / 360) for i, r in enumerate(sweeps)]
+    found = lidar_odometry(scans, NOWHERE, guides=[None, *(se2.exp(twist) for twist in twists[:-1])])
+    assert [match.measurement is None for match in found[9:17]] == [True] * 8
+    usual, first = (np.abs(error_of(found[i], poses)).max() for i in (8, 17))
+    assert first < 3.0 * usual + 0.001
