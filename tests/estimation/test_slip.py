@@ -103,4 +103,8 @@ def _driven(rng, config, slides):
         state, correction = step(state, event)
         if event.source == "lidar" and event.stamp > 4.0:
             off.append(correction.innovation[1])
+    if state.history[-1].slip.rate.any():  # the twist is that of the base, not of its wheels
+        np.testing.assert_allclose(state.belief.twist, slipped, atol=0.05)
+        way_on = se2.difference(state.belief.pose, state.belief_at(state.stamp + 0.1).pose)
+        np.testing.assert_allclose(way_on, 0.1 * state.belief.twist, atol=0.002)
     return float(np.sqrt(np.mean(np.square(off)))), state.history[-1].slip

@@ -15,7 +15,7 @@ from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
 from longreach.app.guides import Trust, counter_events, guided_step, match_events, wheel_guide
 from longreach.control.hardware import Readings
-from longreach.estimation import ekf, fusion
+from longreach.estimation import fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.observation import planar_imu
@@ -62,11 +62,7 @@ class LocalizerState:
 
     def belief(self, now: float) -> Belief:
         """Return what is believed at `now` [s], predicted from the newest measurement."""
-        newest = self.filter.history[-1]
-        mean, P, ahead = newest.mean, newest.P, now - newest.key[0]
-        if ahead > 0.0:
-            mean, P = ekf.predict(self.filter.config.motion, mean, P, ahead)  # (3.28)
-        return Belief(max(now, newest.key[0]), mean[:3], mean[3:6], mean[6:9], float(mean[9]), P[:10, :10])
+        return self.filter.belief_at(now)
 
 
 def init(

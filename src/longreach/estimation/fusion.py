@@ -17,8 +17,9 @@ from longreach.errors import EstimationError
 from longreach.estimation.ekf import BODY, SCALE
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.gaussian import Belief
+from longreach.estimation.slip import velocity
 from longreach.estimation.snapshot import Anchor, Correction, Event, Placed, Snapshot, Tally
-from longreach.estimation.update import take
+from longreach.estimation.update import predicted, take
 from longreach.measurement import RelativePoseMeasurement
 
 __all__ = [
@@ -66,7 +67,12 @@ class FusionState:
     @property
     def belief(self) -> Belief:
         """The belief at `stamp`."""
-        return _belief(self.stamp, self.history[-1].mean, self.history[-1].P)
+        return _belief(self.history[-1])
+
+    def belief_at(self, stamp: float) -> Belief:
+        """Return what is believed at a time [s], predicted where it is after the newest event."""
+        newest = self.history[-1]._replace(links=None)
+        return _belief(predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest)
 
     @property
     def counters(self) -> dict[str, Tally]:
@@ -78,8 +84,12 @@ class FusionState:
         return tallies
 
 
-def _belief(stamp: float, mean: np.ndarray, P: np.ndarray) -> Belief:
-    return Belief(stamp, mean[:3], mean[3:6], mean[6:9], float(mean[9]), P[:10, :10])
+def _belief(now: Snapshot) -> Belief:
+    (stamp, *_), mean = now.key, now.mean
+    twist = mean[3:6]
+    if now.slip.rate.any():  # which the pose goes with, and wheels do not count
+        twist = twist + velocity(now.slip, float(np.hypot(twist[0], twist[1])), stamp)
+    return Belief(stamp, mean[:3], twist, mean[6:9], float(mean[9]), now.P[:10, :10])
 
 
 _Key = tuple[float, int, str]

@@ -85,9 +85,18 @@ def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.nd
     speed [m/s]: of the base, as its wheels count.
     """
     t0, t1 = max(begin - slip.told, 0.0), max(end - slip.told, 0.0)
-    xi = _LASTS * (math.exp(-t0 / _LASTS) - math.exp(-t1 / _LASTS)) * slip.rate
+    lasting = _LASTS * (math.exp(-t0 / _LASTS) - math.exp(-t1 / _LASTS))
+    return lasting * _possible(slip, speed), _spread(slip, t1) - _spread(slip, t0)
+
+
+def velocity(slip: Slip, speed: float, stamp: float) -> Float[np.ndarray, "3"]:
+    """Return the velocity (3,) that wheels do not count at a time [s], where they count a speed [m/s]."""
+    return math.exp(-max(stamp - slip.told, 0.0) / _LASTS) * _possible(slip, speed)
+
+
+def _possible(slip: Slip, speed: float) -> Float[np.ndarray, "3"]:
     most = math.hypot(slip.rate[0], slip.rate[1])
-    return (min(1.0, speed / most) if most > 0.0 else 1.0) * xi, _spread(slip, t1) - _spread(slip, t0)
+    return min(1.0, speed / most) * slip.rate if most > 0.0 else slip.rate
 
 
 def _spread(slip: Slip, t: float) -> Float[np.ndarray, "3"]:

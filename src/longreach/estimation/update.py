@@ -39,12 +39,7 @@ def take(
 ) -> tuple[Snapshot, Correction]:
     """Predict to the event's stamp, then place the anchor or correct by the measurement."""
     links = None if before.links is None else ()
-    now, dt = before._replace(key=key, event=event, links=links), float(key[0] - before.key[0])
-    if dt > 0.0:
-        mean, P = ekf.predict(config.motion, now.mean, now.P, dt)  # (3.28)
-        now = _linked(now, lambda: motion.transition(config.motion, now.mean, dt)[1])._replace(mean=mean, P=P)
-        if now.slip.variance.any():
-            now = _slipped(now, before.key[0])
+    now = predicted(config, before._replace(links=links), key)._replace(event=event)
     if isinstance(event, Anchor):
         return _slip_seen(config, now, *_anchored(config, now, event))
     if not isinstance(event, RelativePoseMeasurement):
@@ -53,6 +48,15 @@ def take(
         return _corrected(config, *_carried(config, now, event))
     now, event = _apart(now, event)
     return _slip_seen(config, now, *_corrected(config, now, event))
+
+
+def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str]) -> Snapshot:
+    """Predict to a time, with what the wheels slip until then. (3.28)"""
+    now, dt = before._replace(key=key), float(key[0] - before.key[0])
+    if dt > 0.0:
+        mean, P = ekf.predict(config.motion, now.mean, now.P, dt)
+        now = _linked(now, lambda: motion.transition(config.motion, now.mean, dt)[1])._replace(mean=mean, P=P)
+    return _slipped(now, before.key[0]) if dt > 0.0 and now.slip.variance.any() else now
 
 
 def _slipped(now: Snapshot, since: float) -> Snapshot:
