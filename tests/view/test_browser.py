@@ -24,6 +24,13 @@ def opened(page, server):
     return time.monotonic() - began
 
 
+def until(page, condition, limit=10.0):
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end
+        page.wait_for_timeout(20)
+
+
 def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_path):
     player = Player(server, drive)
     took = opened(page, server)
@@ -43,10 +50,7 @@ def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
     opened(page, server)
     page.get_by_text("STOP").first.wait_for()
     page.get_by_text("STOP").first.dispatch_event("click")
-    end = time.monotonic() + 10.0
-    while not pretender.stopped:
-        assert time.monotonic() < end
-        page.wait_for_timeout(20)
+    until(page, lambda: pretender.stopped)
     assert page.errors == []
 
 
@@ -97,12 +101,34 @@ def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, ser
         pretender.stopped = 0.0
         page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
         page.keyboard.press(" ")
-        end = time.monotonic() + 10.0
-        while not pretender.stopped:
-            assert time.monotonic() < end
-            page.wait_for_timeout(20)
+        until(page, lambda: pretender.stopped)
     assert cockpit._session is None
     assert pretender.orders == []
+
+
+def test_a_finger_drives_while_it_is_down_and_stops(browser, server, pretender, running, tmp_path):
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, device_scale_factor=0.5, has_touch=True, is_mobile=True
+    )
+    page = context.new_page()
+    running(Cockpit(server, pretender, tmp_path).loop)
+    opened(page, server)
+    forward = f"[{BUTTONS}].find(b => b.innerText.includes('I') && b.innerText.includes('↑'))"
+    page.wait_for_function(f"{STOP} && {forward}")
+    page.evaluate(f"{forward}.scrollIntoView()")
+    page.wait_for_timeout(500)
+    left, top, right, bottom = box(page, forward)
+    finger = context.new_cdp_session(page)
+    down = [{"x": 0.5 * (left + right), "y": 0.5 * (top + bottom)}]
+    finger.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": down})
+    until(page, lambda: [order for order, _ in pretender.orders].count("velocity") > 10)
+    assert pretender.orders[-1][0] == "velocity"
+    finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    until(page, lambda: pretender.orders[-1][0] == "hold")
+    left, top, right, bottom = box(page, STOP)
+    page.touchscreen.tap(0.5 * (left + right), 0.5 * (top + bottom))
+    until(page, lambda: pretender.stopped)
+    context.close()
 
 
 def test_the_exported_page_plays_without_a_network(page, drive, tmp_path):
