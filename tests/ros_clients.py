@@ -32,7 +32,7 @@ def action_messages():
 def action_goals(names, goals):
     """Send goals one after the other through actionlib's own client, and return how each ended.
 
-    goals: (positions, after [s], tolerance on the way [rad], what happens after how long, None or (s, "cancel")).
+    goals: (positions, after [s], tolerances on the way [rad, rad/s], after how long it is cancelled [s], None: not).
     """
     import actionlib
 
@@ -46,7 +46,7 @@ def action_goals(names, goals):
         point.positions, point.time_from_start = list(positions), Duration(after)
         goal.trajectory.joint_names, goal.trajectory.points = list(names), [point]
         Tolerance = classes["control_msgs/JointTolerance"]
-        goal.path_tolerance = [Tolerance(name, tolerance, 0.0, 0.0) for name in names] if tolerance else []
+        goal.path_tolerance = [Tolerance(name, *tolerance, 0.0) for name in names]
         fed = []
         client.send_goal(goal, feedback_cb=fed.append)
         if cancelled:

@@ -92,6 +92,22 @@ def test_a_tolerance_may_be_given_for_each_joint(trajectory):
     assert run(config, trajectory, obeys=0.0)[-1][0].reason.startswith("elbow is 0.05")
 
 
+def test_a_joint_that_is_too_slow_violates_its_tolerance_of_velocity(trajectory):
+    config = JointTrajectoryConfig(path_tolerance=(10.0,), path_velocity_tolerance=(10.0, 0.1))
+    state = run(config, trajectory, obeys=0.5)[-1][0]
+    assert state.status == "path tolerance violated"
+    assert state.reason.startswith("elbow is 0.1")
+    assert "rad/s off, 0.1 are allowed" in state.reason
+    assert run(config, trajectory)[-1][0].status == "reached"
+
+
+def test_each_joint_may_have_a_speed_of_its_own_at_which_it_stands(trajectory):
+    for still, status in (((0.2, 0.01), "reached"), ((0.01, 0.2), "running")):
+        state = joint_trajectory.init(JointTrajectoryConfig(stopped_velocity=still), 0.0)
+        state = joint_trajectory.follow(state, trajectory)
+        assert joint_trajectory.step(state, JointInput(GOAL, np.array([0.1, 0.0])), 1.1)[0].status == status
+
+
 def test_where_it_gave_up_it_stays_in_position_mode(trajectory):
     rows = run(JointTrajectoryConfig(command="position"), trajectory, obeys=0.0, q=(0.02, 0.0))
     np.testing.assert_array_equal(rows[-1][1].arm, [0.02, 0.0])

@@ -32,16 +32,19 @@ def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot
     needs("actionlib")
     names, q = thing.joint_names[thing.arm], thing.home[thing.arm]
     goals = [
-        (q + 0.15, 1.0, 0.0, None),
-        (q, 0.1, 0.01, None),  # faster than the arm can
-        (q + 10.0, 1.0, 0.0, None),  # beyond its limits
-        (q, 2.0, 0.0, 0.3),
+        (q + 0.15, 1.0, (0.0, 0.0), None),
+        (q, 0.1, (0.01, 0.0), None),  # faster than the arm can
+        (q, 0.1, (-1.0, 0.1), None),
+        (q + 10.0, 1.0, (0.0, 0.0), None),  # beyond its limits
+        (q, 2.0, (0.0, 0.0), 0.3),
     ]
-    reached, hurried, far, cancelled = other(action_goals, names, goals)
+    reached, hurried, slow, far, cancelled = other(action_goals, names, goals)
     assert reached[:2] == (SUCCEEDED, 0)
     assert reached[3] > 5
     assert hurried[:2] == (ABORTED, -4)
     assert "off" in hurried[2]
+    assert slow[:2] == (ABORTED, -4)
+    assert "rad/s off" in slow[2]
     assert far[:2] == (REJECTED, -1)
     assert "beyond its limits" in far[2]
     assert cancelled[0] == PREEMPTED
@@ -50,7 +53,7 @@ def test_an_action_moves_the_arm_to_its_goal_and_tells_how_it_ended(thing, robot
 def test_the_arm_is_where_the_action_said_that_it_arrived(thing, robot, other, needs):
     needs("actionlib")
     names, q = thing.joint_names[thing.arm], thing.home[thing.arm] + 0.1
-    (ended,) = other(action_goals, names, [(q, 1.5, 0.0, None)])
+    (ended,) = other(action_goals, names, [(q, 1.5, (0.0, 0.0), None)])
     assert ended[:2] == (SUCCEEDED, 0)
     assert np.abs(other(joint_positions, names) - q).max() < 0.01
 

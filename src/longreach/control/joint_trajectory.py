@@ -5,6 +5,7 @@ the end, and a goal time that it may come late by. Where it gives up it stands w
 Source: ros_control, joint_trajectory_controller, and control_msgs/FollowJointTrajectory.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, NamedTuple
 
@@ -37,7 +38,12 @@ class JointTrajectoryConfig(BaseModel):
     goal_tolerance: tuple[_Tolerance, ...] = Field(
         default=(0.01,), min_length=1, description="Largest error at the end [rad]; ours."
     )
-    stopped_velocity: _Tolerance = Field(
+    path_velocity_tolerance: tuple[_Tolerance, ...] = Field(
+        default=(math.inf,),
+        min_length=1,
+        description="Largest one of the velocity on the way [rad/s]; ros_control: any.",
+    )
+    stopped_velocity: _Tolerance | tuple[_Tolerance, ...] = Field(
         default=0.01, description="Below this a joint stands [rad/s]; ros_control's stopped_velocity_tolerance."
     )
     goal_time: float = Field(default=0.5, ge=0, description="How late the end may be reached [s]; ours.")
@@ -91,6 +97,8 @@ def follow(
     for name, numbers in {
         "path_tolerance": config.path_tolerance,
         "goal_tolerance": config.goal_tolerance,
+        "path_velocity_tolerance": config.path_velocity_tolerance,
+        "stopped_velocity": np.atleast_1d(config.stopped_velocity),
         **{f"gains.{name}": getattr(gains, name) for name in ("p", "i", "d", "output_limit")},
     }.items():
         if len(numbers) not in (1, joints):
@@ -112,7 +120,8 @@ def step(state: JointTrajectoryState, measured: JointInput, now: float) -> tuple
         t = trajectory.stamps[0] + (now - state.start)
         q, qd, _ = sample(trajectory, float(t), config.degree)
         error = q - measured.q
-        status, reason = _judged(state, error, measured.velocity, float(t - trajectory.stamps[-1]))
+        after = float(t - trajectory.stamps[-1])
+        status, reason = _judged(state, error, measured.velocity, qd - measured.velocity, after)
         if status in ("running", "reached"):
             assert state.correction is not None
             inner, correction = pid.step(config.gains, state.correction, error, now - state.stamp)
@@ -125,25 +134,28 @@ def step(state: JointTrajectoryState, measured: JointInput, now: float) -> tuple
     return replace(state, stamp=now, hold=hold), JointOutput(arm, config.command, hold, hold - measured.q)
 
 
-def _judged(state: JointTrajectoryState, error: np.ndarray, velocity: np.ndarray, after: float) -> tuple[Status, str]:
+def _judged(
+    state: JointTrajectoryState, error: np.ndarray, velocity: np.ndarray, off: np.ndarray, after: float
+) -> tuple[Status, str]:
     """How it goes, `after` [s] after the end (negative: before it), and a sentence."""
     config = state.config
     if state.status == "reached":
         return state.status, state.reason
     if after <= 0.0:
         worst = _worst(state, error, config.path_tolerance)
+        worst = worst or _worst(state, off, config.path_velocity_tolerance, " rad/s")
         if worst:
             return "path tolerance violated", f"{worst}, {-after:.2f} s before the end."
         return "running", "On the way."
     worst = _worst(state, error, config.goal_tolerance)
-    if not worst and np.all(np.abs(velocity) <= config.stopped_velocity):
+    if not worst and np.all(np.abs(velocity) <= np.asarray(config.stopped_velocity)):
         return "reached", f"The goal was reached {after:.2f} s after its time."
     if after <= config.goal_time:
         return "running", "Past the last point, on the way into the goal's tolerance."
     return "goal time exceeded", f"{worst or 'A joint does not stand still'}, {after:.2f} s after the end."
 
 
-def _worst(state: JointTrajectoryState, error: np.ndarray, tolerance: tuple[float, ...]) -> str:
+def _worst(state: JointTrajectoryState, error: np.ndarray, tolerance: tuple[float, ...], unit: str = "") -> str:
     """Return the joint that is furthest beyond its tolerance, as half a sentence; empty: none is. NaN is beyond."""
     part = np.abs(error) / np.asarray(tolerance)
     if np.all(part <= 1.0):
@@ -152,4 +164,4 @@ def _worst(state: JointTrajectoryState, error: np.ndarray, tolerance: tuple[floa
     i = int(np.argmax(np.where(np.isnan(part), np.inf, part)))
     names = state.trajectory.joint_names
     bound = np.broadcast_to(tolerance, part.shape)[i]
-    return f"{names[i] if names else f'Joint {i} (from 0)'} is {abs(error[i]):.3f} off, {bound:g} are allowed"
+    return f"{names[i] if names else f'Joint {i} (from 0)'} is {abs(error[i]):.3f}{unit} off, {bound:g} are allowed"

@@ -112,11 +112,16 @@ class TrajectoryAction:
     def _tolerances(self, goal: Any) -> JointTrajectoryConfig:
         """Return the settings with a goal's own tolerances; 0 is the default, less than 0 none at all."""
         changes: dict[str, Any] = {}
-        for what in ("path_tolerance", "goal_tolerance"):
-            given = {tolerance.name: tolerance.position for tolerance in getattr(goal, what) if tolerance.position}
-            usual = np.broadcast_to(getattr(self._config, what), len(self._names)).tolist()
+        for key, tolerances, what in (
+            ("path_tolerance", goal.path_tolerance, "position"),
+            ("path_velocity_tolerance", goal.path_tolerance, "velocity"),
+            ("goal_tolerance", goal.goal_tolerance, "position"),
+            ("stopped_velocity", goal.goal_tolerance, "velocity"),
+        ):
+            given = {one.name: getattr(one, what) for one in tolerances if getattr(one, what)}
+            usual = np.broadcast_to(getattr(self._config, key), len(self._names)).tolist()
             values = (given.get(name, value) for name, value in zip(self._names, usual, strict=True))
-            changes[what] = tuple(math.inf if value < 0 else value for value in values)
+            changes[key] = tuple(math.inf if value < 0 else value for value in values)
         if late := seconds(goal.goal_time_tolerance):
             changes["goal_time"] = late if late > 0 else math.inf
         try:
