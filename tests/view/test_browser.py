@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from page_parts import CANVAS, STOP, box, until
 from PIL import Image
 
 from longreach.view.cockpit import Cockpit
@@ -22,13 +23,6 @@ def opened(page, server):
     page.goto(f"http://127.0.0.1:{server.get_port()}")
     page.wait_for_selector("canvas")
     return time.monotonic() - began
-
-
-def until(page, condition, limit=10.0):
-    end = time.monotonic() + limit
-    while not condition():
-        assert time.monotonic() < end
-        page.wait_for_timeout(20)
 
 
 def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_path):
@@ -50,18 +44,11 @@ def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
     opened(page, server)
     page.get_by_text("STOP").first.wait_for()
     page.get_by_text("STOP").first.dispatch_event("click")
-    until(page, lambda: pretender.stopped)
+    until(lambda: pretender.stopped, page)
     assert page.errors == []
 
 
-STOP = "document.getElementById('longreach-stop')"
-CANVAS = "document.querySelector('canvas[data-engine]')"
-
 BUTTONS = "...document.querySelectorAll('button')"
-
-
-def box(page, element):
-    return page.evaluate(f"(b => [b.left, b.top, b.right, b.bottom])({element}.getBoundingClientRect())")
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1000, 500)], ids=["phone", "desktop"])
@@ -101,7 +88,7 @@ def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, ser
         pretender.stopped = 0.0
         page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
         page.keyboard.press(" ")
-        until(page, lambda: pretender.stopped)
+        until(lambda: pretender.stopped, page)
     assert cockpit._session is None
     assert pretender.orders == []
 
@@ -121,13 +108,13 @@ def test_a_finger_drives_while_it_is_down_and_stops(browser, server, pretender, 
     finger = context.new_cdp_session(page)
     down = [{"x": 0.5 * (left + right), "y": 0.5 * (top + bottom)}]
     finger.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": down})
-    until(page, lambda: [order for order, _ in pretender.orders].count("velocity") > 10)
+    until(lambda: [order for order, _ in pretender.orders].count("velocity") > 10, page)
     assert pretender.orders[-1][0] == "velocity"
     finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    until(page, lambda: pretender.orders[-1][0] == "hold")
+    until(lambda: pretender.orders[-1][0] == "hold", page)
     left, top, right, bottom = box(page, STOP)
     page.touchscreen.tap(0.5 * (left + right), 0.5 * (top + bottom))
-    until(page, lambda: pretender.stopped)
+    until(lambda: pretender.stopped, page)
     context.close()
 
 

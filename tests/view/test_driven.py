@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 from live_networks import Served
+from page_parts import CANVAS, STOP, box, until
 
 import longreach as lr
 from longreach.view.bodies import rotation
@@ -13,8 +14,6 @@ from longreach.view.replay import read_run
 
 _GRIP = 0.85  # where on an arrow of the gizmo a hand takes it
 _PIXELS = 70.0  # of the gizmo's arrows
-_STOP = "document.getElementById('longreach-stop')"
-_CANVAS = "document.querySelector('canvas[data-engine]')"
 
 
 @pytest.fixture(scope="module")
@@ -38,18 +37,6 @@ def cockpit(server, client, running, tmp_path):
     return made
 
 
-def until(condition, page, limit=30.0):
-    end = time.monotonic() + limit
-    while not condition():
-        assert time.monotonic() < end
-        page.wait_for_timeout(20)
-
-
-def box(page, element):
-    """Return left, top, width and height; asked of the page itself, for playwright waits for pictures."""
-    return page.evaluate(f"(b => [b.x, b.y, b.width, b.height])({element}.getBoundingClientRect())")
-
-
 def press(page, words):
     """Press the button with these words in the panel."""
     find = f"[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{words}'))"
@@ -60,11 +47,12 @@ def press(page, words):
 def hand_on(page, server):
     """Open the page and return what projects points of the world to it."""
     page.goto(f"http://127.0.0.1:{server.get_port()}")
-    until(lambda: server.get_clients() and page.evaluate(f"{_STOP} && {_CANVAS}?.clientHeight > 100"), page)
+    until(lambda: server.get_clients() and page.evaluate(f"{STOP} && {CANVAS}?.clientHeight > 100"), page)
     page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
     page.wait_for_timeout(1500)
     (viewer,) = server.get_clients().values()
-    left, top, width, height = box(page, _CANVAS)
+    left, top, right, bottom = box(page, CANVAS)
+    width, height = right - left, bottom - top
     focal = 0.5 * height / np.tan(0.5 * viewer.camera.fov)
     R, eye = rotation(*viewer.camera.wxyz), viewer.camera.position
 
@@ -112,7 +100,7 @@ def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, clien
     until(lambda: cockpit._session is not None, page)
     until(lambda: page.keyboard.press("i") or np.linalg.norm(client.state.q[:2] - before[:2]) > 0.05, page)
     began = time.monotonic()
-    left, top, *_ = box(page, _STOP)
+    left, top, *_ = box(page, STOP)
     page.mouse.click(left + 20, top + 20)
     until(lambda: client.state.latched, page)
     assert time.monotonic() - began < 20.0  # a browser without a graphics card is slow to see a mouse
