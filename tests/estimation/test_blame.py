@@ -6,7 +6,7 @@ from keyframe_events import unchecked
 
 from longreach.estimation.blame import drifting
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, in_order, init, step
+from longreach.estimation.fusion import Anchor, in_order, init, step, steps
 from longreach.estimation.observation import PlanarImu
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
@@ -61,6 +61,18 @@ def test_wheels_that_slip_do_not_carry_the_estimate_off(rng):
     assert errors[:, 0].max() < 0.1
     assert errors[110:, 0].max() < 0.02
     assert np.all(np.isfinite(state.history[-1].P))
+
+
+def test_wheels_alone_are_believed_whatever_they_say(rng):
+    def jerking(i, z):
+        return se2.exp(5.0 * se2.log(z)) if i in (60, 61, 90) else z
+
+    events = [event for event in drive(rng, wheels=jerking)[0] if event.source == "wheels"]
+    state, _ = unchecked(steps, init(0.0, np.zeros(3), None, CONFIG), events)
+    counted = np.zeros(3)
+    for event in events[1:]:
+        counted = se2.compose(counted, event.pose)
+    np.testing.assert_allclose(state.belief.pose, counted, atol=0.002)
 
 
 def test_a_burst_of_wrong_matches_does_not_carry_the_estimate_off(rng):

@@ -40,6 +40,8 @@ def blamed(
         and _cholesky_kernels.squared_norm(S, r) > gate
     ):
         return now._replace(doubts=_without(now.doubts, source)) if source in now.doubts else now
+    if source in now.steps and now.tallies.keys() <= now.steps.keys():
+        return now  # nobody else can tell
     doubts = _without(now.doubts, source)
     for counter, added in now.steps.items():
         M, Q = moving(now, counter, source, at), np.sum(added, axis=0)
