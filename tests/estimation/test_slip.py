@@ -85,6 +85,21 @@ def test_between_scans_the_pose_goes_where_the_base_slides(rng, slides):
         assert not slip.rate.any()
 
 
+@pytest.mark.parametrize("mode", ["reject", "inflate"])
+def test_a_match_beyond_the_gate_tells_of_no_slip(mode):
+    config = FilterConfig(gate_mode=mode, noise_memory=300.0)
+    state, P = init(0.0, np.zeros(3), None, config), 1e-6 * np.eye(3)
+    for event in (Anchor(0.0, "wheels"), Anchor(0.0, "lidar")):
+        state, _ = step(state, event)
+    state, _ = step(state, RelativePoseMeasurement(0.0, 0.02, np.zeros(3), P, "wheels", P))
+    before = state.history[-1].slip
+    state, said = step(state, RelativePoseMeasurement(0.0, 0.025, np.array([5.0, 0.0, 0.0]), P, "lidar", None, P))
+    assert "above the gate" in said.reason
+    assert state.history[-1].slip is before
+    state, said = step(state, RelativePoseMeasurement(0.0, 0.05, np.zeros(3), 4 * P, "lidar", None, P))
+    assert (state.history[-1].slip is before) == bool(said.reason)
+
+
 def _driven(rng, config, slides):
     """How far off scans find the pose, RMS sideways [m], on a drive that slides sideways, and the slip at the end."""
     counted, slipped, scan = np.array([0.8, 0.0, 0.1]), np.array([0.8, slides, 0.1]), np.diag([1e-3, 1e-3, 3e-4]) ** 2

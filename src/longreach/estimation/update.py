@@ -75,8 +75,8 @@ def _slipped(now: Snapshot, since: float) -> Snapshot:
 def _slip_seen(
     config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction
 ) -> tuple[Snapshot, Correction]:
-    """Learn how the wheels slip from how far the pose was off, and where it was moved to."""
-    if config.noise_memory == 0.0 or correction.dof < 3 or not before.steps:
+    """Learn how the wheels slip from how far the pose was off, and where it was moved to; not beyond the gate."""
+    if config.noise_memory == 0.0 or correction.dof < 3 or correction.reason or not before.steps:
         return after, correction
     xi = se2.difference(before.mean[:3], after.mean[:3])
     slip = corrected(before.slip, correction.innovation, xi, correction.stamp, config.counter.led)
