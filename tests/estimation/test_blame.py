@@ -63,6 +63,20 @@ def test_wheels_that_slip_do_not_carry_the_estimate_off(rng):
     assert np.all(np.isfinite(state.history[-1].P))
 
 
+@pytest.mark.parametrize("leads", [True, False])
+def test_steps_after_a_slip_are_as_noisy_as_those_that_slipped(leads):
+    config = FilterConfig(**(CONFIG.model_dump() | {"led_by_counter": (True, True, leads)}))
+    state, _ = steps(init(0.0, np.zeros(3), None, config), [Anchor(0.0, "wheels"), Anchor(0.0, "lidar")])
+    for i in range(2):
+        state, _ = step(state, RelativePoseMeasurement(0.05 * i, 0.05 * i + 0.05, np.zeros(3), STEP, "wheels", READING))
+        assert "wheels, steps" not in state.history[-1].noise
+    off = np.array([0.0, 9e-3, 0.0])  # six deviations of two steps
+    state, _ = step(state, RelativePoseMeasurement(0.0, 0.1, off, SCAN, "lidar", None, SCAN))
+    log = state.history[-1].noise["wheels, steps"].log
+    assert log[0] > 0.5
+    assert (log[1] > 0.3) == leads
+
+
 def test_wheels_alone_are_believed_whatever_they_say(rng):
     def jerking(i, z):
         return se2.exp(5.0 * se2.log(z)) if i in (60, 61, 90) else z
