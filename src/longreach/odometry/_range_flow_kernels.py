@@ -159,17 +159,3 @@ def step_scan(
                 for l in range(3):
                     covariance[i, j] += adjoint[i, k] * local[k, l] * adjoint[j, l]
     return m if math.isfinite(pose.sum() + covariance.sum()) else 0
-
-
-@kernel
-def guess_motion(old, new, start, cos, sin, increments, settings, pose):
-    """Fill pose (3,) with the motion of the laser between two scans, by range flow: where no better guess is there."""
-    n = len(old)
-    pyramids = np.empty((2, start[-1]))
-    build_pyramid(old, start, settings.reach, pyramids[0])
-    build_pyramid(new, start, settings.reach, pyramids[1])
-    pose[0], pose[1], pose[2], m = match_pyramids(
-        pyramids[0], pyramids[1], start, cos, sin, increments, np.zeros(3), settings,
-        np.empty((5, n)), np.empty((4, n)), np.zeros((3, 3)),
-    )  # fmt: skip
-    return m

@@ -1,18 +1,25 @@
-"""LIDAR odometry: each scan against a keyframe, from a guess that the wheels or a filter may give."""
+"""LIDAR odometry: each scan against a reference that earlier scans have made, under a prior from the wheels.
+
+`step` is one scan: predict, carry its points to where the sweep began, match, and perhaps make it a keyframe. How it
+is matched is a `ScanMatcher`'s; the default is `PointToLine`, to a local map.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
-from longreach.odometry import point_to_line, range_flow, symmetric_flow
 from longreach.odometry.lidar_config import LidarConfig
-from longreach.odometry.point_to_line import Lines
-from longreach.odometry.scan_fit import Fit, Points, flow_guess
+from longreach.odometry.matchers.point_to_line import PointToLine
+from longreach.odometry.matchers.range_flow import RangeFlow
+from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior, ScanMatcher
+from longreach.odometry.matchers.symmetric_flow import SymmetricFlow
+from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.scan_geometry import (
     FEWEST_BEAMS,
     ScanGeometry,
@@ -22,49 +29,51 @@ from longreach.odometry.scan_geometry import (
     share_of_a_beam,
 )
 from longreach.odometry.scan_match import ScanMatch
-from longreach.odometry.symmetric_flow import Keyscan
 
-__all__ = ["LidarConfig", "LidarState", "Reference", "init", "lidar_odometry", "step"]
+__all__ = ["LidarConfig", "LidarState", "init", "lidar_odometry", "step"]
 
-_FEWEST_ROWS = 12  # fewer beams that fall on the keyframe's lines than this do not make a match
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
-_DOUBTFUL = 0.6  # share of points that agree below which another guess is tried, too
-_LEAST_SUPPORT = 0.1  # share of points that agree below which there is no match
-_LOST = 2  # scans without a match, after which the next one becomes a keyframe
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """A keyframe of one kind of scans: when it was, what scans are matched to, the last scan, and where that was.
-
-    pose (3,), covariance (3, 3): of the base at the last scan, seen from there. lost: scans since the last match.
-    """
-
-    stamp: float
-    geometry: ScanGeometry
-    lines: Lines | Keyscan
-    last: Points
-    pose: Float[np.ndarray, "3"]
-    covariance: Float[np.ndarray, "3 3"]
-    lost: int = 0
+_LOST = 2  # scans without a match, after which the next one starts a reference anew
+_FEWEST = 12  # returns of a scan that can start one
 
 
 @dataclass(frozen=True, eq=False)
 class LidarState:
-    """The keyframe of each kind of scan, when the last scan was, and the base's twist per scan: the last, the mean.
+    """What LIDAR odometry remembers.
 
-    told: when a scan last told all directions, or the first one was. guided: the mean of what guides told (3,).
-    flow: what range flow from scan to scan goes on from.
+    reference: what scans are matched against, None before the first. stamp: of the last scan [s].
+    keyframe: stamp of the newest keyframe [s]; keyframe_pose (3,): where it is in the reference; keyframe_noise (3, 3):
+    the error of its own match, which all poses relative to it share.
+    pose (3,): of the base at the last scan, in the reference; variance (3,): that has added up since the last match.
+    motion (2, 3): the base's twist from scan to scan, the last and the mean; predicted (3,): the mean of the priors'.
+    observed: when a scan last showed all directions, or the first one was taken [s].
+    lost: scans without a match since the last one. geometries: of the kinds of scans seen so far.
     """
 
     config: LidarConfig
+    matcher: ScanMatcher
     T_base_laser: Float[np.ndarray, "4 4"]
-    references: tuple[Reference, ...] = ()
+    reference: Any = None
     stamp: float = -math.inf
-    told: float = math.inf
+    keyframe: float = -math.inf
+    keyframe_pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    keyframe_noise: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.zeros((3, 3)))
+    pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
-    guided: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    flow: range_flow.RangeFlowState | None = None
+    predicted: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    observed: float = math.inf
+    lost: int = 0
+    geometries: tuple[ScanGeometry, ...] = ()
+
+
+def matcher_of(config: LidarConfig) -> ScanMatcher:
+    """Return the matcher that the settings name."""
+    if config.method == "point-to-line":
+        return PointToLine(config.fit, config.distance, config.turned, config.overlap)
+    if config.method == "range-flow":
+        return RangeFlow(RangeFlowConfig())
+    return SymmetricFlow(with_last=config.method == "three-scan-flow")
 
 
 def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
@@ -74,81 +83,65 @@ def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarSt
         EstimationError: the laser's plane is tilted by more than 15° against the floor.
     """
     check_mount(T_base_laser)
-    return LidarState(config, T_base_laser)
+    return LidarState(config, matcher_of(config), T_base_laser)
 
 
 def step(
-    state: LidarState, scan: LaserScan, guide: Float[np.ndarray, "3"] | None = None
+    state: LidarState, scan: LaserScan, prior: Float[np.ndarray, "3"] | None = None
 ) -> tuple[LidarState, ScanMatch]:
-    """Match a scan against the keyframe of its kind.
+    """Match a scan against the reference.
 
-    guide: predicted pose (3,) of the base at this scan seen from the base at the last one; None: it moves on as it did.
+    prior: predicted pose (3,) of the base at this scan seen from the base at the last one; None: it moves on as it did.
     """
     if len(scan.ranges) < FEWEST_BEAMS:
         reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
-    if state.config.method == "range-flow":
-        return _flowed(state, scan)
-    period = scan.stamp - state.stamp
-    if guide is not None and not np.isfinite(guide).all():
-        guide = None
-    moved = _moved(state, guide)
-    place = next((i for i, known in enumerate(state.references) if same_kind(scan, known.geometry)), None)
-    geometry = scan_geometry(scan, state.T_base_laser, 5) if place is None else state.references[place].geometry
-    points = _points(state, scan, geometry, guide, period)
-    if place is None:
-        reason = "the scan is the first of its kind"
-        state = replace(state, told=min(state.told, scan.stamp))
-        return _restarted(state, scan, geometry, points, moved, None), ScanMatch(
-            scan.stamp, None, reason, 0, keyframe=True
-        )
-    before = state.guided
-    if guide is not None:
-        state = replace(state, guided=_mean(before, se2.log(guide), period))
-    found = _best_fit(state, state.references[place], points, moved, scan.stamp)
-    reason = _wrong(found, points)
-    if reason:
-        if guide is not None:  # it alone tells how the motion goes on
-            motion = np.array([se2.log(guide), state.motion[1] + state.guided - before])
-            state = replace(state, motion=motion)
-        return _failed(state, scan, points, moved, place, reason, guide is not None)
-    return _matched(state, scan, points, place, found)
+    if prior is not None and not np.isfinite(prior).all():
+        prior = None
+    period = scan.stamp - state.stamp if math.isfinite(state.stamp) else math.inf
+    state, geometry = _geometry(state, scan)
+    features = _features(state, scan, geometry, prior, period)
+    if state.reference is None:
+        state = replace(state, stamp=scan.stamp, observed=scan.stamp)
+        match = ScanMatch(scan.stamp, None, "the scan is the first", 0, keyframe=True)
+        return (_restarted(state, features, geometry) if features.count >= _FEWEST else state), match
+    twist = state.motion[0] if prior is None else se2.log(prior)
+    before = state.predicted
+    if prior is not None:
+        state = replace(state, predicted=_mean(before, twist, period))
+    moved = se2.exp(twist)
+    expected = _prior(state, moved, scan.stamp, period)
+    fit = state.matcher.match(features, state.reference, geometry, expected)
+    if isinstance(fit, str):
+        if prior is not None:  # it alone shows how the motion goes on
+            state = replace(state, motion=np.array([twist, state.motion[1] + state.predicted - before]))
+        return _failed(state, scan, features, geometry, expected, fit, prior is not None)
+    return _matched(state, scan, features, geometry, fit)
 
 
-def _best_fit(state: LidarState, reference: Reference, points: Points, moved: np.ndarray, stamp: float) -> Fit:
-    """Match from the guess, and where few points agree from what range flow finds since the last scan, too."""
-    config, told = state.config, min(state.told, reference.stamp)
-    # What has not been told for a while is off by ever more of the same, not at random: its deviation grows with time,
-    # from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
-    growth = (stamp - told) ** 2 - (reference.stamp - told) ** 2
-    free = np.array([config.speed, config.speed, config.turn]) ** 2 * growth
-
-    def from_guess(moved: np.ndarray) -> Fit:
-        far, turned = math.hypot(moved[0], moved[1]), abs(moved[2])
-        doubt = np.array([config.doubt + 0.3 * far, config.doubt + 0.3 * far, config.doubt + 0.3 * turned])
-        guess, geometry = se2.compose(reference.pose, moved), reference.geometry
-        if isinstance(reference.lines, Lines):
-            return point_to_line.fit(points, reference.lines, geometry, config.lines, guess, doubt, free)
-        assert isinstance(points, Keyscan)
-        assert isinstance(reference.last, Keyscan)
-        key, last, seen = reference.lines, reference.last, (reference.pose, reference.covariance)
-        three = config.method == "three-scan-flow" and last is not key
-        return symmetric_flow.fit(points, key, last, seen, three, geometry, guess, doubt, free)
-
-    found = from_guess(moved)
-    if found.support < _DOUBTFUL and points.count >= _FEWEST_ROWS:
-        other = from_guess(flow_guess(reference.last, points, reference.geometry))
-        if other.support > found.support:
-            return other
-    return found
+def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeometry]:
+    """Return the tables for this kind of scan, made where it is a new one."""
+    for known in state.geometries:
+        if same_kind(scan, known):
+            return state, known
+    geometry = scan_geometry(scan, state.T_base_laser, 5)
+    return replace(state, geometries=(*state.geometries, geometry)[-4:]), geometry
 
 
-def _moved(state: LidarState, guide: np.ndarray | None) -> np.ndarray:
-    """Return the pose of the base now seen from the base at the last scan, as expected.
+def _features(
+    state: LidarState, scan: LaserScan, geometry: ScanGeometry, prior: np.ndarray | None, period: float
+) -> Features:
+    """Return the features of a scan, carried to where the sweep began by the mean of the last motions.
 
-    Without a guide as far as last time: the stamps of a logger may be less regular than the scans are.
+    A prior shows how that changes; what it says itself does worse, for wheels have errors of their own.
     """
-    return se2.exp(state.motion[0]) if guide is None else guide
+    share, motion = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0, np.zeros(3)
+    if share > 0.0:
+        motion = state.motion[1]
+        if prior is not None:
+            motion = motion + _mean(state.predicted, se2.log(prior), period) - state.predicted
+        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
+    return state.matcher.features(scan, geometry, motion, share)
 
 
 def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
@@ -156,117 +149,93 @@ def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
     return mean + -math.expm1(-period / _LASTING) * (last - mean)
 
 
-def _points(
-    state: LidarState, scan: LaserScan, geometry: ScanGeometry, guide: np.ndarray | None, period: float
-) -> Points:
-    """Return the points of a scan, carried to where the sweep began by the mean of the last motions.
+def _prior(state: LidarState, moved: np.ndarray, stamp: float, period: float) -> Prior:
+    """Predict the base's pose in the reference, wide: it says where to look, and not what to find.
 
-    A guide tells how that changes; what it says itself does worse, for wheels have errors of their own.
+    What has not been observed for a while is off by ever more of the same, not at random: its deviation grows with
+    time, from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
     """
-    share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
-    motion = np.zeros(3)
-    if share > 0.0:
-        motion = state.motion[1]
-        if guide is not None:
-            motion = motion + _mean(state.guided, se2.log(guide), period) - state.guided
-        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
-    make = point_to_line.points_of if state.config.method == "point-to-line" else symmetric_flow.keyscan_of
-    return make(scan.ranges, (float(scan.range_min), float(scan.range_max)), geometry, motion, share)
+    config = state.config
+    far, turned = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
+    linear, angular = (a * min(period, 1.0) ** 2 for a in config.prior_acceleration)
+    at = config.prior_position + config.prior_motion * far + linear
+    to = config.prior_heading + config.prior_motion * turned + 0.1 * far + angular
+    sigma = np.sqrt(state.variance + np.array([at * at, at * at, to * to]))
+    observed = min(state.observed, state.keyframe)
+    growth = (stamp - observed) ** 2 - (state.keyframe - observed) ** 2
+    free = np.array([config.speed, config.speed, config.turn]) ** 2 * growth
+    return Prior(se2.compose(state.pose, moved), sigma, free)
 
 
-def _wrong(found: Fit, points: Points) -> str:
-    """Return why a fit is none, or nothing."""
-    if points.count < _FEWEST_ROWS:
-        return f"only {points.count} beams see something"
-    if found.rows < _FEWEST_ROWS:
-        return f"only {found.rows} beams see something that the keyframe saw"
-    if found.support < _LEAST_SUPPORT:
-        return f"only {100 * found.support:.0f} % of the beams agree with the keyframe"
-    if not math.isfinite(found.scale):
-        return "the match is not finite"
-    return ""
-
-
-def _restarted(
-    state: LidarState,
-    scan: LaserScan,
-    geometry: ScanGeometry,
-    points: Points,
-    moved: np.ndarray,
-    place: int | None,
-) -> LidarState:
-    """Return the state in which this scan is the keyframe of its kind, and the other kinds have moved on."""
-    others = tuple(
-        replace(known, pose=se2.compose(known.pose, moved)) for i, known in enumerate(state.references) if i != place
+def _restarted(state: LidarState, features: Features, geometry: ScanGeometry) -> LidarState:
+    """Return the state with a new reference, of which this scan is the only keyframe."""
+    reference, pose = state.matcher.extended(None, features, geometry, None)
+    return replace(
+        state,
+        reference=reference,
+        keyframe=state.stamp,
+        keyframe_pose=pose,
+        keyframe_noise=np.zeros((3, 3)),
+        pose=pose,
+        variance=np.zeros(3),
+        lost=0,
     )
-    old = None if place is None else state.references[place]
-    noise = math.inf if old is None else 1.2 * old.lines.noise
-    lines = points if isinstance(points, Keyscan) else point_to_line.lines_of(points, geometry, noise)
-    new = Reference(scan.stamp, geometry, lines, points, np.zeros(3), np.zeros((3, 3)))
-    return replace(state, references=(*others, new), stamp=scan.stamp)
 
 
 def _failed(
-    state: LidarState, scan: LaserScan, points: Points, moved: np.ndarray, place: int, reason: str, guided: bool
+    state: LidarState,
+    scan: LaserScan,
+    features: Features,
+    geometry: ScanGeometry,
+    prior: Prior,
+    reason: str,
+    predicted: bool,
 ) -> tuple[LidarState, ScanMatch]:
-    reference = state.references[place]
-    if reference.lost + 1 >= _LOST and points.count >= _FEWEST_ROWS:
-        state = _restarted(state, scan, reference.geometry, points, moved, place)
-        motion = state.motion if guided else np.zeros((2, 3))
-        return replace(state, motion=motion), ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
-    references = tuple(
-        replace(known, pose=se2.compose(known.pose, moved), lost=known.lost + (i == place))
-        for i, known in enumerate(state.references)
-    )
-    return replace(state, references=references, stamp=scan.stamp), ScanMatch(scan.stamp, None, reason, 0)
+    """Go on with the prior; after some scans in a row that see enough, start anew where the base is thought to be."""
+    state = replace(state, stamp=scan.stamp, pose=prior.pose, variance=prior.sigma**2)
+    if features.count < _FEWEST:
+        return state, ScanMatch(scan.stamp, None, reason, 0)
+    if state.lost + 1 < _LOST:
+        return replace(state, lost=state.lost + 1), ScanMatch(scan.stamp, None, reason, 0)
+    motion = state.motion if predicted else np.zeros((2, 3))
+    state = replace(_restarted(state, features, geometry), motion=motion)
+    return state, ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
 
 
 def _matched(
-    state: LidarState, scan: LaserScan, points: Points, place: int, found: Fit
+    state: LidarState, scan: LaserScan, features: Features, geometry: ScanGeometry, fit: Fit
 ) -> tuple[LidarState, ScanMatch]:
-    reference, config = state.references[place], state.config
-    moved = se2.between(reference.pose, found.pose)
+    """Tell where the base is relative to the newest keyframe, and make the scan one where it is far from all."""
+    config = state.config
+    moved, pose = se2.between(state.pose, fit.pose), se2.between(state.keyframe_pose, fit.pose)
+    A = se2.adjoint(se2.inverse(pose))
+    keyframe = A @ state.keyframe_noise @ A.T
     measurement = RelativePoseMeasurement(
-        reference.stamp, scan.stamp, found.pose, found.covariance, source="lidar", shared_covariance=found.shared
+        state.keyframe, scan.stamp, pose, fit.covariance + keyframe, "lidar", shared_covariance=fit.shared + keyframe
     )
-    keyframe = bool(
-        _is_far(config, found.pose, points)
-        or found.rows < config.overlap * min(points.count, reference.lines.count)
-        or (len(found.directions) and config.speed * (scan.stamp - reference.stamp) > 2.0 * config.distance)
+    blind = len(fit.directions) > 0
+    is_keyframe = state.matcher.is_far(fit, features, geometry, state.reference) or (
+        blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance
     )
     last = se2.log(moved)
     motion = np.array([last, _mean(state.motion[1], last, scan.stamp - state.stamp)])
-    told = state.told if len(found.directions) else scan.stamp
-    if keyframe:
-        references = _restarted(state, scan, reference.geometry, points, moved, place).references
-    else:
-        references = tuple(
-            Reference(known.stamp, known.geometry, known.lines, points, found.pose, found.covariance)
-            if i == place
-            else replace(known, pose=se2.compose(known.pose, moved))
-            for i, known in enumerate(state.references)
-        )
-    state = LidarState(config, state.T_base_laser, references, scan.stamp, told, motion, state.guided)
-    match = ScanMatch(scan.stamp, measurement, "", found.rows, found.directions, keyframe, moved)
-    return state, match
-
-
-def _is_far(config: LidarConfig, pose: np.ndarray, points: Points) -> bool:
-    """Whether a pose (3,) is so far from the keyframe that there has to be a new one."""
-    if isinstance(points, Keyscan):
-        return symmetric_flow.is_far(pose, points.xyr.shape[1])
-    return bool(math.hypot(pose[0], pose[1]) > config.distance or abs(pose[2]) > config.angle)
-
-
-def _flowed(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanMatch]:
-    """Match a scan to the last one by range flow: every scan is a keyframe."""
-    settings, mount = range_flow.RangeFlowConfig(), state.T_base_laser
-    if state.flow is None:
-        flow, match = range_flow.init(scan, mount, settings), ScanMatch(scan.stamp, None, "the scan is the first", 0)
-    else:
-        flow, match = range_flow.step(state.flow, scan, mount, settings)
-    pose = None if match.measurement is None else match.measurement.pose
-    return replace(state, flow=flow, stamp=scan.stamp), replace(match, keyframe=True, motion=pose)
+    match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved)
+    state = replace(
+        state,
+        stamp=scan.stamp,
+        pose=fit.pose,
+        variance=np.zeros(3),
+        motion=motion,
+        observed=state.observed if blind else scan.stamp,
+        lost=0,
+    )
+    if not is_keyframe:
+        return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
+    reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
+    noise = fit.covariance - fit.shared
+    return replace(
+        state, reference=reference, keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose
+    ), match
 
 
 def lidar_odometry(
@@ -274,16 +243,16 @@ def lidar_odometry(
     T_base_laser: Float[np.ndarray, "4 4"],
     config: LidarConfig | None = None,
     show_progress: Callable[[int], None] | None = None,
-    guides: Sequence[Float[np.ndarray, "3"] | None] | None = None,
+    priors: Sequence[Float[np.ndarray, "3"] | None] | None = None,
 ) -> tuple[ScanMatch, ...]:
-    """Match each scan against its keyframe; the first scan has no entry.
+    """Match each scan against the reference; the first scan has no entry.
 
-    show_progress is called now and then with the number of scans done. guides: of each scan, as `step` takes it.
+    show_progress is called now and then with the number of scans done. priors: of each scan, as `step` takes it.
     """
     state = init(config or LidarConfig(), T_base_laser)
     matches = []
     for i, scan in enumerate(scans):
-        state, match = step(state, scan, None if guides is None else guides[i])
+        state, match = step(state, scan, None if priors is None else priors[i])
         if i > 0:
             matches.append(match)
         if show_progress and i % 200 == 0:

@@ -85,7 +85,11 @@ class RangeFlowState:
 
 def init(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], config: RangeFlowConfig) -> RangeFlowState:
     """Start from a first scan."""
-    geometry = scan_geometry(scan, T_base_laser, config.levels)
+    return start(scan, scan_geometry(scan, T_base_laser, config.levels), config)
+
+
+def start(scan: LaserScan, geometry: ScanGeometry, config: RangeFlowConfig) -> RangeFlowState:
+    """Start from a first scan whose tables are known."""
     pyramid = np.empty(geometry.start[-1])
     ranges = np.empty(geometry.beams)
     _pyramid_kernels.clean(scan.ranges, float(scan.range_min), float(scan.range_max), geometry.flipped, ranges)
@@ -108,7 +112,17 @@ def step(
     if not same_kind(scan, state.geometry):
         reason = f"the scan has {len(scan.ranges)} beams and other angles than the last one"
         return init(scan, T_base_laser, config), ScanMatch(scan.stamp, None, reason, 0)
+    return advance(state, scan, state.geometry, config)
+
+
+def advance(
+    state: RangeFlowState, scan: LaserScan, geometry: ScanGeometry, config: RangeFlowConfig
+) -> tuple[RangeFlowState, ScanMatch]:
+    """Match a scan against the last one, of the same kind, whose tables are known."""
     g = state.geometry
+    if not same_kind(scan, g):
+        reason = f"the scan has {len(scan.ranges)} beams and other angles than the last one"
+        return start(scan, geometry, config), ScanMatch(scan.stamp, None, reason, 0)
     pyramid, motion = np.empty_like(state.pyramid), state.motion.copy()
     pose, covariance = np.empty(3), np.empty((3, 3))
     rows = _range_flow_kernels.step_scan(

@@ -29,6 +29,11 @@ class ScanGeometry:
     increments: Float[np.ndarray, " levels"]
 
     @property
+    def view(self) -> float:
+        """Angle between the first and the last beam [rad]."""
+        return self.beams * float(self.increments[0])
+
+    @property
     def finest(self) -> tuple[Float[np.ndarray, " beams"], Float[np.ndarray, " beams"]]:
         """Cosines and sines of all beams."""
         return self.cos[: self.beams], self.sin[: self.beams]

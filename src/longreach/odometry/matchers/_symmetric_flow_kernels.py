@@ -13,7 +13,6 @@ import numpy as np
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log
 from longreach.kernels import kernel
 from longreach.odometry._flow_solution_kernels import flow_covariance, normal_equations, truncated_flow
-from longreach.odometry._match_covariance_kernels import carry_covariance
 from longreach.odometry._pyramid_kernels import _atan_ratio
 from longreach.odometry._range_flow_kernels import mean_scan
 from longreach.odometry._rank_kernels import smallest
@@ -91,10 +90,10 @@ def symmetric_rows(old, warped, mean, slope, cos, sin, increment, reach, m, A, b
 
 
 @kernel(fastmath=True)
-def find_told(A, m, increment, reach, variance, known, H, V, told):
-    """Fill told (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
+def find_observable(A, m, increment, reach, variance, known, H, V, observable):
+    """Fill observable (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
-    Noise of the slopes looks like information about motion along a wall: a direction is told where H is more than
+    Noise of the slopes looks like information about motion along a wall: a direction is observable where H is more than
     `known` times what it would be from that alone. variance: of a weighted residual.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
@@ -108,12 +107,12 @@ def find_told(A, m, increment, reach, variance, known, H, V, told):
         for i in range(m):
             along = A[3, i] * V[0, j] + A[4, i] * V[1, j] + A[5, i] * V[2, j]
             errors += along * along
-        told[j] = 1.0 if H[j, j] > known * errors * noise + 1e-5 * largest else 0.0
+        observable[j] = 1.0 if H[j, j] > known * errors * noise + 1e-5 * largest else 0.0
 
 
 @kernel
-def pulled(xi, pose, guess, doubt, reach, variance, H, V, told):
-    """Draw ξ to the guess: wholly along what is not told, by information elsewhere. doubt (3,): its deviation."""
+def pulled(xi, pose, guess, sigma, reach, variance, H, V, observable):
+    """Draw ξ to the guess: wholly along what is not observable, by information elsewhere. sigma (3,): its deviation."""
     ix, iy, it = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
     ox, oy, ot = se2_log(*se2_compose(guess[0], guess[1], guess[2], ix, iy, it))
     off, found = (ox, oy, ot * reach), xi.copy()
@@ -121,11 +120,11 @@ def pulled(xi, pose, guess, doubt, reach, variance, H, V, told):
     for k in range(3):
         weight = along = prior = 0.0
         for i in range(3):
-            deviation = doubt[i] * (reach if i == 2 else 1.0)
+            deviation = sigma[i] * (reach if i == 2 else 1.0)
             weight += V[i, k] * V[i, k] * variance / (deviation * deviation)
             along += V[i, k] * found[i]
             prior += V[i, k] * off[i]
-        share = H[k, k] / (H[k, k] + weight) if told[k] > 0.0 else 0.0
+        share = H[k, k] / (H[k, k] + weight) if observable[k] > 0.0 else 0.0
         for i in range(3):
             xi[i] += V[i, k] * (share * along + (1.0 - share) * prior)
 
@@ -139,7 +138,7 @@ def add_pair(old, warped, cos, sin, increment, reach, work, m, A, b):
 
 @kernel
 def match_level(
-    key, last, new, between, with_last, cos, sin, increment, reach, guess, doubt, s, pose, work, A, b, H, V, told
+    key, last, new, between, with_last, cos, sin, increment, reach, guess, sigma, s, pose, work, A, b, H, V, observable
 ):
     """Move pose (3,), of the new scan seen from the last one, by the flow of one level of the pyramids.
 
@@ -158,8 +157,8 @@ def match_level(
         if m <= 6:
             break
         variance, k = truncated_flow(A, b, m, s.iterations, xi, H, V, A[6])
-        find_told(A, m, increment, reach, variance, s.known, H, V, told)
-        pulled(xi, pose, guess, doubt, reach, variance, H, V, told)
+        find_observable(A, m, increment, reach, variance, s.known, H, V, observable)
+        pulled(xi, pose, guess, sigma, reach, variance, H, V, observable)
         dx, dy, dt = se2_exp(xi[0], xi[1], xi[2] / reach)
         pose[0], pose[1], pose[2] = se2_compose(dx, dy, dt, pose[0], pose[1], pose[2])
         if abs(xi[0]) + abs(xi[1]) + abs(xi[2]) < s.settled:
@@ -193,11 +192,11 @@ def flow_part(A, b, of_last, k, H, V, part):
 
 
 @kernel
-def whole_covariance(C, last, part, scale, reach, common, free, V, told, out):
+def whole_covariance(C, last, part, scale, reach, common, free, V, observable, out):
     """Fill out (3, 3): the error of the new scan's pose in the frame of the last one.
 
     C (3, 3): of the flow; last (3, 3): of the last scan's pose, of which `part` goes on, if any. A part `common` of the
-    residuals' scale [m] does not average out. free (3,): variance where nothing is told.
+    residuals' scale [m] does not average out. free (3,): variance where nothing is observable.
     """
     units = np.array([1.0, 1.0, 1.0 / reach])
     project, whole, told_part = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -207,7 +206,7 @@ def whole_covariance(C, last, part, scale, reach, common, free, V, told, out):
         for j in range(3):
             whole[i, j] += unseen * C[i, j] + ((common * max(scale, _LEAST)) ** 2 if i == j else 0.0)
             for k in range(3):
-                project[i, j] += told[k] * V[i, k] * V[j, k]
+                project[i, j] += observable[k] * V[i, k] * V[j, k]
     carry_covariance(project, whole, told_part)
     for k in range(3):
         wide = 0.0
@@ -215,21 +214,33 @@ def whole_covariance(C, last, part, scale, reach, common, free, V, told, out):
             wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
         for i in range(3):
             for j in range(3):
-                told_part[i, j] += (1.0 - told[k]) * V[i, k] * V[j, k] * wide
+                told_part[i, j] += (1.0 - observable[k]) * V[i, k] * V[j, k] * wide
     for i in range(3):
         for j in range(3):
             out[i, j] = units[i] * told_part[i, j] * units[j]
 
 
 @kernel
+def carry_covariance(adjoint, C, out):
+    """out = Ad C Adᵀ, made symmetric and a little larger than nothing."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(3):
+                for l in range(3):
+                    total += adjoint[i, k] * C[k, l] * adjoint[j, l]
+            out[i, j] = out[j, i] = total
+
+
+@kernel
 def fit_scan(
-    key, last, new, seen, P_seen, with_last, start, cos, sin, increments, reach, s, mount, guess, doubt, free,
-    pose, covariance, V, told,
+    key, last, new, seen, P_seen, with_last, start, cos, sin, increments, reach, s, mount, guess, sigma, free,
+    pose, covariance, V, observable,
 ):  # fmt: skip
     """Match the pyramid of a scan coarse to fine, from a guess (3,) of the base's pose seen from the keyscan's.
 
     seen (3,), P_seen (3, 3): where the base was at the last scan, seen from the keyscan, and its covariance.
-    Fills the base's pose (3,), its covariance (3, 3), and which columns of V are told.
+    Fills the base's pose (3,), its covariance (3, 3), and which columns of V are observable.
     Returns the rows, the scale of the residuals [m], NaN where something is not finite, and how many of them agree.
     """
     n = start[1]
@@ -248,7 +259,7 @@ def fit_scan(
         at = slice(start[level], start[level + 1])
         m, of_last, _, k = match_level(
             key[at], last[at], new[at], between, with_last, cos[at], sin[at], increments[level], reach, from_start,
-            doubt, s, motion, work, A, b, H, V, told,
+            sigma, s, motion, work, A, b, H, V, observable,
         )  # fmt: skip
     if m <= 6:
         return m, 0.0, 0
@@ -260,7 +271,7 @@ def fit_scan(
     for i in range(3):
         for j in range(3):
             P[i, j] *= (reach if i == 2 else 1.0) * (reach if j == 2 else 1.0)
-    whole_covariance(C, P, part, scale, reach, s.common, free, V, told, P)
+    whole_covariance(C, P, part, scale, reach, s.common, free, V, observable, P)
     x, y, t = se2_compose(lx, ly, lt, motion[0], motion[1], motion[2])
     x, y, t = se2_compose(mount[0], mount[1], mount[2], x, y, t)
     pose[0], pose[1], pose[2] = se2_compose(x, y, t, ix, iy, it)

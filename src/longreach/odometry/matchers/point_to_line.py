@@ -1,0 +1,142 @@
+"""Point-to-line matching against a local map: a coarse search over the prior's window where it is wide, then a fit.
+
+As point-to-line ICP (Censi 2008), with these differences:
+* the surface at a point is the implicit moving least squares mean of all that the map's keyframes saw there
+  (Kolluri 2008; as IMLS-SLAM, Deschaud 2018), first over a wide radius, then over a narrow one;
+* where the prior is wider than the fit can bridge, a correlative search (Olson 2009) says where to start;
+* distances weigh by the noise along the beam, and fall out beyond four times what they are found to scatter;
+* the covariance comes from the residuals at the solution (`_point_to_line_kernels.sandwich`).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.measurement import LaserScan
+from longreach.odometry import _feature_kernels, local_map
+from longreach.odometry.local_map import LocalMap
+from longreach.odometry.matchers import _correlative_kernels, _point_to_line_kernels
+from longreach.odometry.matchers._point_to_line_kernels import FitSettings
+from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
+from longreach.odometry.scan_geometry import ScanGeometry
+
+_FEWEST = 12  # returns on surfaces of the map, below which there is no match
+_LEAST_SUPPORT = 0.1  # share of the returns that agree, below which there is no match
+_DOUBTFUL = 0.75  # share below which a search looks for a better start
+_WINDOW = 3.0  # deviations of the prior that are searched
+_WIDEST = np.array([0.7, 0.7, 0.35])  # deviations [m, m, rad] of a window at most
+
+
+@dataclass(frozen=True, eq=False)
+class PointToLine:
+    """Match to a local map.
+
+    distance [m], turned (part of the field of view): from the nearest keyframe to a new one; overlap: share of the
+    returns that the map explains, below which there is a new one, too.
+    """
+
+    settings: FitSettings
+    distance: float
+    turned: float
+    overlap: float
+
+    def features(
+        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
+    ) -> Features:
+        """Take the points of a scan in the base's frame, and the directions of the surfaces there."""
+        values = np.empty((_feature_kernels.FEATURES, len(scan.ranges)))
+        count, noise, reach = _feature_kernels.scan_features(
+            scan.ranges,
+            float(scan.range_min),
+            float(scan.range_max),
+            geometry.flipped,
+            *geometry.finest,
+            geometry.increments[0],
+            geometry.pose_base_laser,
+            motion,
+            share,
+            values,
+        )
+        return Features(values, count, noise, reach)
+
+    def extended(
+        self, reference: LocalMap | None, features: Features, geometry: ScanGeometry, fit: Fit | None
+    ) -> tuple[LocalMap, Float[np.ndarray, "3"]]:
+        """Add a scan's surfaces to the map, at the pose where it was matched."""
+        pose = np.zeros(3) if fit is None else fit.pose
+        before = () if reference is None else reference.keyframes
+        return local_map.merged((*before, local_map.keyframe(features, pose))), pose
+
+    def followed(self, reference: LocalMap, features: Features, fit: Fit) -> LocalMap:
+        """Return the map as it is: only keyframes change it."""
+        return reference
+
+    def match(self, features: Features, reference: LocalMap, geometry: ScanGeometry, prior: Prior) -> Fit | str:
+        """Fit from the prior; where less agrees than should, also from the best place in its window."""
+        if features.count < _FEWEST:
+            return f"only {features.count} beams see something"
+        found = self._fit(features, reference, prior, prior.pose)
+        if found.support < _DOUBTFUL:
+            start, sigma = np.array(prior.pose), np.minimum(prior.sigma, _WIDEST)
+            _correlative_kernels.search(
+                features.values,
+                features.count,
+                prior.pose,
+                sigma,
+                _WINDOW,
+                reference.origin,
+                reference.blocks,
+                *reference.field,
+                start,
+            )
+            other = self._fit(features, reference, prior, start)
+            found = other if other.support > found.support else found
+        return _fault(found) or found
+
+    def _fit(self, features: Features, to: LocalMap, prior: Prior, start: np.ndarray) -> Fit:
+        noise = min(features.noise, 1.2 * to.noise)
+        pose, covariance, shared = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+        observable, V = np.empty(3), np.empty((3, 3))
+        rows, scale, agree = _point_to_line_kernels.match(
+            features.values,
+            features.count,
+            features.reach,
+            noise,
+            self.settings,
+            start,
+            *prior,
+            to.origin,
+            to.blocks,
+            to.cells,
+            to.elements,
+            pose,
+            covariance,
+            shared,
+            observable,
+            V,
+        )
+        directions = np.zeros((0, 3))
+        if rows >= 6 and not observable.all():
+            directions = V.T[observable == 0.0] / np.array([1.0, 1.0, features.reach])
+            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return Fit(pose, covariance, shared, rows, scale, agree / features.count, directions)
+
+    def is_far(self, fit: Fit, features: Features, geometry: ScanGeometry, reference: LocalMap) -> bool:
+        """Whether every keyframe of the map was taken from elsewhere, or looking elsewhere, or the map ends here."""
+        x, y, t = fit.pose
+        away = np.hypot(reference.poses[:, 0] - x, reference.poses[:, 1] - y) / self.distance
+        turned = np.abs(np.remainder(reference.poses[:, 2] - t + math.pi, 2 * math.pi) - math.pi) / (
+            self.turned * geometry.view
+        )
+        return bool(np.min(np.maximum(away, turned)) > 1.0 or fit.rows < self.overlap * features.count)
+
+
+def _fault(found: Fit) -> str:
+    """Return why a fit is none, or nothing."""
+    if found.rows < _FEWEST:
+        return f"only {found.rows} beams see something that the map has"
+    if found.support < _LEAST_SUPPORT:
+        return f"only {100 * found.support:.0f} % of the beams agree with the map"
+    return "" if math.isfinite(found.scale) else "the match is not finite"

@@ -1,0 +1,142 @@
+"""Scan matching by symmetric range flow: how a scan's ranges differ from those of a keyscan, and of the last scan.
+
+Source: Jaimez, Monroy, Lopez-Antequera & Gonzalez-Jimenez 2018, "Robust planar odometry based on symmetric range flow
+and multiscan alignment". Where ours differs from its authors' implementation, and why:
+* true beam angles, any field of view and mounting; NaN, infinity and 0 are no returns;
+* it starts from a prior: wheels or a filter know more of a motion than the last motion does;
+* between neighbouring points inverse ranges are interpolated, which are those of a straight line;
+* the covariance is measured from the residuals, their correlation included (`flow_covariance`), and an error of the
+  last scan's pose goes on as far as that scan takes part; directions that the scans do not show are found out, and are
+  as wide as the prior says.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.geometry import se2
+from longreach.measurement import LaserScan
+from longreach.odometry import _pyramid_kernels
+from longreach.odometry.matchers import _symmetric_flow_kernels
+from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
+from longreach.odometry.scan_geometry import ScanGeometry
+
+_FEWEST = 12  # beams that see something in both scans, below which there is no match
+_LEAST_SUPPORT = 0.1  # share of the returns that agree, below which there is no match
+_OVERLAP = 0.6  # beams that the keyscan explains at least
+_REACH = 0.3  # [m] neighbours further away in range are not smoothed; the authors' code of 2016
+# Rotation [rad] since the keyscan beyond which there is a new one, a polynomial of the translation [m]; the authors'
+# code: small scanners, and those of 500 beams and more. Beyond its last root no rotation is small enough.
+_NEAR = np.polynomial.Polynomial((0.1054, -0.3149, 2.307, -7.617, -14.92)), 0.25
+_FAR = np.polynomial.Polynomial((0.2042, 0.5319, -4.371, 11.81, -10.66)), 0.68
+SETTINGS = _symmetric_flow_kernels.SymmetricSettings(
+    iterations=10,  # reweightings at most; the authors' code
+    linearisations=3,  # a level; the authors' code
+    settled=0.01,  # [m] a level's motion below which it is not linearised again; 0.05 in the authors' code
+    lags=6,  # neighbouring beams whose errors may be correlated
+    known=3.0,  # information over that from errors of slopes alone
+    common=0.02,  # of the residuals, the part common to all beams
+    agree=0.1,  # [m] a residual below it agrees
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyscan(Features):
+    """The points x, y, r (3, n) of a scan in the laser's frame, r = 0 where there is none, and its pyramid."""
+
+    pyramid: Float[np.ndarray, " total"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The keyscan, in whose frame poses are, and the last scan with the pose (3,) and covariance (3, 3) it was at."""
+
+    key: Keyscan
+    last: Keyscan
+    pose: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricFlow:
+    """Match by symmetric range flow; with_last: the last scan takes part, too, beside the keyscan."""
+
+    with_last: bool
+
+    def features(
+        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
+    ) -> Keyscan:
+        """Return a scan as it would be seen from where its sweep began, with its pyramid."""
+        r, pyramid = np.empty(geometry.beams), np.empty(geometry.start[-1])
+        _pyramid_kernels.clean(scan.ranges, float(scan.range_min), float(scan.range_max), geometry.flipped, r)
+        cos, sin = geometry.finest
+        if share > 0.0:
+            swept, space = r.copy(), np.empty_like(r)
+            _pyramid_kernels.deskew(swept, cos, sin, geometry.increments[0], motion, share, geometry.flipped, r, space)
+        _pyramid_kernels.build_pyramid(r, geometry.start, _REACH, pyramid)
+        count = int(np.count_nonzero(r))
+        reach = float(np.median(r[r > 0])) if count else 1.0
+        return Keyscan(np.stack([r * cos, r * sin, r]), count, np.inf, reach, pyramid)
+
+    def extended(
+        self, reference: Scans | None, features: Keyscan, geometry: ScanGeometry, fit: Fit | None
+    ) -> tuple[Scans, Float[np.ndarray, "3"]]:
+        """Make a scan the keyscan: the only one, at the origin."""
+        return Scans(features, features, np.zeros(3), np.zeros((3, 3))), np.zeros(3)
+
+    def followed(self, reference: Scans, features: Keyscan, fit: Fit) -> Scans:
+        """Remember the last scan."""
+        return Scans(reference.key, features, fit.pose, fit.covariance)
+
+    def match(self, features: Keyscan, reference: Scans, geometry: ScanGeometry, prior: Prior) -> Fit | str:
+        """Match a scan to the keyscan, and to the last scan."""
+        if features.count < _FEWEST:
+            return f"only {features.count} beams see something"
+        if len(features.pyramid) != len(reference.key.pyramid):
+            return "the scan has other beams than the keyscan"
+        g, key, last = geometry, reference.key, reference.last
+        with_last = self.with_last and last is not key
+        pose, covariance, observable, V = np.full(3, np.nan), np.empty((3, 3)), np.ones(3), np.eye(3)
+        rows, scale, agree = _symmetric_flow_kernels.fit_scan(
+            key.pyramid,
+            last.pyramid,
+            features.pyramid,
+            reference.pose,
+            reference.covariance,
+            with_last,
+            g.start,
+            g.cos,
+            g.sin,
+            g.increments,
+            key.reach,
+            SETTINGS,
+            g.pose_base_laser,
+            *prior,
+            pose,
+            covariance,
+            V,
+            observable,
+        )
+        used = rows // 2 if with_last else rows
+        support = agree / max(rows, 1) * min(used / max(min(features.count, key.count), 1), 1.0)
+        if used < _FEWEST:
+            return f"only {used} beams see something that the keyscan saw"
+        if support < _LEAST_SUPPORT or not np.isfinite(scale):
+            return f"only {100 * support:.0f} % of the beams agree with the keyscan"
+        directions = np.zeros((0, 3))
+        if not observable.all():
+            directions = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
+            directions = directions @ se2.adjoint(g.pose_base_laser).T
+            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return Fit(pose, covariance, 0.5 * covariance, used, scale, support, directions)
+
+    def is_far(self, fit: Fit, features: Keyscan, geometry: ScanGeometry, reference: Scans) -> bool:
+        """Whether the rotation is too large for the translation, as the method's authors have it."""
+        allowed, furthest = _FAR if features.values.shape[1] >= 500 else _NEAR
+        distance = float(np.hypot(fit.pose[0], fit.pose[1]))
+        return bool(
+            distance > furthest
+            or abs(fit.pose[2]) > allowed(distance)
+            or fit.rows < _OVERLAP * min(features.count, reference.key.count)
+        )
