@@ -6,7 +6,7 @@ import pytest
 from longreach.errors import EstimationError
 from longreach.geometry import se2
 from longreach.measurement import Odometry, WheelSpeeds, WheelTicks
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import WheelConfig, wheel_odometry
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import Encoder, RobotDescription, WheelNoise
@@ -31,7 +31,7 @@ def records(robot, twist, duration=10.0, rate=50.0):
 
 
 def path(wheels, robot, config=None):
-    return chain(wheel_odometry(wheels, robot, config).measurements, [w.stamp for w in wheels])
+    return integrate(wheel_odometry(wheels, robot, config).measurements, [w.stamp for w in wheels])
 
 
 @pytest.mark.parametrize("robot", [THING, CART], ids=lambda robot: robot.name)

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from longreach.evaluation.alignment import align_pairs, associate
 from longreach.geometry import se2
 from longreach.measurement import Odometry, WheelTicks
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory, monotone_clock
@@ -52,7 +52,7 @@ def test_nominal_parameters_give_the_known_error_on_polimi(data, bag, bound):
     wheels, truth = polimi(data / "polimi" / bag)
     found = wheel_odometry(wheels, described("polimi"))
     assert (found.breaks, found.refused) == (0, 0)
-    path = chain(found.measurements, [w.stamp for w in wheels])
+    path = integrate(found.measurements, [w.stamp for w in wheels])
     assert bound - 0.001 < ate(path, truth) <= bound
     # Nominal wheels are 5 % off, and yet they agree with each other about what they do.
     assert np.sqrt(np.mean(found.slip**2)) < 0.01
@@ -67,7 +67,7 @@ def test_brenners_tracks_give_the_known_error(data):
     truth = PoseTrajectory(reference[:, 0], poses, has_heading=False)
     found = wheel_odometry(wheels, described("brenner"))
     assert found.breaks == 0
-    path = chain(found.measurements, [w.stamp for w in wheels])
+    path = integrate(found.measurements, [w.stamp for w in wheels])
     assert ate(path, truth) == pytest.approx(0.427, abs=0.005)  # 0.429, associated in another way
 
 
@@ -94,7 +94,7 @@ def test_the_covariance_is_of_the_right_size_on_short_relations(data, name, axes
         if not (abs(t2 - t1) <= 5.0 and i < j):
             continue
         stamps = [w.stamp for w in wheels[i : j + 1]]
-        path = chain([ending[s] for s in stamps[1:]], stamps)
+        path = integrate([ending[s] for s in stamps[1:]], stamps)
         error = se2.difference(path.poses[-1], np.array([x, y, yaw]))[axes]
         P = (path.covariance[-1] + np.diag([0.01, 0.01, 0.0]) ** 2)[np.ix_(axes, axes)]  # laid by eye, to a centimetre
         nees.append(error @ np.linalg.solve(P, error) / len(axes))
@@ -109,7 +109,7 @@ def test_the_covariance_is_of_the_right_size_over_three_seconds_of_polimi(data):
         found = wheel_odometry(wheels, described("polimi")).measurements
         for k in range(0, len(found) - 150, 150):
             stamps = [found[k].stamp_reference, *(m.stamp for m in found[k : k + 150])]
-            path = chain(found[k : k + 150], stamps)
+            path = integrate(found[k : k + 150], stamps)
             ends, known = truth.at(np.array([stamps[0], stamps[-1]]), longest_gap=0.1)
             if known.all():
                 error = se2.difference(path.poses[-1], se2.between(ends[0], ends[1]))
