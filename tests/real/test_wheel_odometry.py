@@ -3,6 +3,7 @@
 import bz2
 from importlib.resources import files
 
+import jaxtyping
 import numpy as np
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from longreach.evaluation.alignment import align_pairs, associate
 from longreach.geometry import se2
 from longreach.measurement import Odometry, WheelTicks
+from longreach.odometry import wheel
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
@@ -58,9 +60,13 @@ def test_nominal_parameters_give_the_known_error_on_polimi(data, bag, bound):
     assert np.sqrt(np.mean(found.slip**2)) < 0.01
 
 
-def test_brenners_tracks_give_the_known_error(data):
+def brenner(data):
     motors = [line.split() for line in (data / "brenner" / "robot4_motors.txt").read_text().splitlines()]
-    wheels = [WheelTicks(float(row[1]) / 1e3, np.array([row[2], row[6]], dtype=float)) for row in motors]
+    return [WheelTicks(float(row[1]) / 1e3, np.array([row[2], row[6]], dtype=float)) for row in motors]
+
+
+def test_brenners_tracks_give_the_known_error(data):
+    wheels = brenner(data)
     rows = [line.split()[1:] for line in (data / "brenner" / "robot4_reference.txt").read_text().splitlines()]
     reference = np.array(rows, dtype=float) / 1e3
     poses = np.column_stack([reference[:, 1:3], np.zeros(len(reference))])
@@ -116,3 +122,43 @@ def test_the_covariance_is_of_the_right_size_over_three_seconds_of_polimi(data):
                 nees.append(error @ np.linalg.solve(path.covariance[-1], error) / 3)
     assert len(nees) > 30
     assert 0.8 < np.sqrt(np.mean(nees)) < 1.6  # its nominal wheels are 5 % off
+
+
+def bits(steps):
+    return [
+        (m.stamp_reference, m.stamp, m.pose.tobytes(), m.covariance.tobytes(), m.reading_covariance.tobytes())
+        for m in steps
+    ]
+
+
+@pytest.fixture
+def shapes_unchecked():
+    """Turn the shape checks off: for a log fed record by record they take longer than what they check."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.usefixtures("shapes_unchecked")
+@pytest.mark.parametrize("log", ["intel", "aces", "fr079", "csail", "bag1.bag", "bag3.bag", "brenner"])
+def test_records_one_by_one_and_in_blocks_give_the_steps_of_the_whole_log(data, log, rng):
+    if log.endswith(".bag"):
+        robot, wheels = "polimi", polimi(data / "polimi" / log)[0]
+    elif log == "brenner":
+        robot, wheels = log, brenner(data)
+    else:
+        path = data / log / f"{log}.clf.bz2"
+        if not path.is_file():
+            pytest.skip(f"there is no {log} log")
+        robot, wheels = log if log == "intel" else "aces", carmen(path)[0]
+    whole = wheel_odometry(wheels, described(robot))
+    assert whole.breaks == 0
+    lengths = rng.integers(1, 50, len(wheels)).tolist()
+    for blocks in ([1] * len(wheels), lengths):
+        state, steps, at = wheel.init(described(robot)), [], 0
+        for length in blocks:
+            state, found = wheel.step(state, wheels[at : at + length])
+            steps += found
+            at += length
+        assert bits(steps) == bits(whole.measurements)
+        assert (state.breaks, state.refused, state.late) == (0, 0, 0)

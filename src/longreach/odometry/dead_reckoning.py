@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from longreach.errors import EstimationError
 from longreach.measurement import RelativePoseMeasurement
-from longreach.odometry import _relative_kernels
+from longreach.odometry import _dead_reckoning_kernels
 from longreach.trajectory import PoseTrajectory
 
 
@@ -46,7 +46,7 @@ def integrate(
         Q[ends] = np.array([m.covariance for m in measurements])
     poses, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     poses[:1] = 0.0 if start is None else start
-    _relative_kernels.chain_all(reference, relative, Q, poses, covariance)
+    _dead_reckoning_kernels.integrate_all(reference, relative, Q, poses, covariance)
     return PoseTrajectory(clock, poses, covariance, clock)
 
 
