@@ -24,7 +24,7 @@ from longreach.evaluation.alignment import rigid_alignment
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import lidar, range_flow
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar_config import LidarConfig, Method
 from longreach.trajectory import PoseTrajectory
 
@@ -76,14 +76,14 @@ def made(simulator: Path, s: Set, seed: int) -> tuple[list[LaserScan], np.ndarra
 
 
 def run(odometry: Callable, scans: list[LaserScan], T: np.ndarray) -> tuple[Matches, PoseTrajectory, float]:
-    """Return the measurements, their chain, and the processor time a scan [ms], the least of the repeats."""
+    """Return the measurements, their dead reckoning, and the processor time a scan [ms], the least of the repeats."""
     matches, best = odometry(scans[:20], T), math.inf
     for _ in range(REPEATS):
         began = time.process_time()
         matches = odometry(scans, T)
         best = min(best, time.process_time() - began)
     found = [m.measurement for m in matches if m.measurement]
-    return found, chain(found, [scan.stamp for scan in scans]), 1e3 * best / len(scans)
+    return found, integrate(found, [scan.stamp for scan in scans]), 1e3 * best / len(scans)
 
 
 def errors(poses: np.ndarray, truth: np.ndarray, still: bool) -> tuple[float, float]:

@@ -83,3 +83,14 @@ def test_readings_that_say_nothing_change_nothing(thing):
     after, corrections = localizer.step(state, Readings(1.0))
     assert corrections == []
     assert after.filter is state.filter
+
+
+def test_a_wheel_record_that_comes_late_changes_nothing(thing, recording):
+    config, wheels = EstimateConfig(sources=("wheels",)), recording.wheels
+    state = localizer.init(thing, wheels[0].stamp, np.zeros(3), config)
+    state, _ = localizer.step(state, Readings(1.0, wheels=wheels[:50]))
+    after, corrections = localizer.step(state, Readings(1.1, wheels=(wheels[30], *wheels[50:60])))
+    plain, expected = localizer.step(state, Readings(1.1, wheels=wheels[50:60]))
+    assert (after.wheels.late, len(corrections)) == (1, len(expected))
+    np.testing.assert_array_equal(after.belief(2.0).pose, plain.belief(2.0).pose)
+    np.testing.assert_array_equal(after.belief(2.0).covariance, plain.belief(2.0).covariance)

@@ -8,7 +8,7 @@ from room_scans import CORRIDOR, NOWHERE, ROOM, STEP, along, error_of, scan_at, 
 
 from longreach.geometry import se2, se3, so3
 from longreach.measurement import LaserScan
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import LidarConfig, init, lidar_odometry, step
 from longreach.sim.room import cast
 
@@ -93,7 +93,7 @@ def test_along_a_corridor_the_deviation_of_the_path_grows_with_time_from_keyfram
     scans = [replace(scan, range_max=15.0) for scan in scans_along(poses, walls=CORRIDOR, rng=rng)]
     matches = lidar_odometry(scans, NOWHERE)
     assert sum(match.keyframe for match in matches) > 2
-    path = chain([match.measurement for match in matches], [scan.stamp for scan in scans])
+    path = integrate([match.measurement for match in matches], [scan.stamp for scan in scans])
     sigma, time = np.sqrt(path.covariance[:, 0, 0]), path.stamps - path.stamps[0]
     np.testing.assert_allclose(sigma, LidarConfig().speed * time, rtol=0.05, atol=0.02)
 

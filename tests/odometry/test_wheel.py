@@ -1,12 +1,15 @@
-"""Wheel odometry: geometry of the motions, growth of the covariance, slip, breaks and bad input."""
+"""Wheel odometry: geometry of the motions, growth of the covariance, slip, breaks, bad input, records one by one."""
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from longreach.errors import EstimationError
 from longreach.geometry import se2
 from longreach.measurement import Odometry, WheelSpeeds, WheelTicks
-from longreach.odometry.chain import chain
+from longreach.odometry import wheel
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import WheelConfig, wheel_odometry
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import Encoder, RobotDescription, WheelNoise
@@ -31,7 +34,7 @@ def records(robot, twist, duration=10.0, rate=50.0):
 
 
 def path(wheels, robot, config=None):
-    return chain(wheel_odometry(wheels, robot, config).measurements, [w.stamp for w in wheels])
+    return integrate(wheel_odometry(wheels, robot, config).measurements, [w.stamp for w in wheels])
 
 
 @pytest.mark.parametrize("robot", [THING, CART], ids=lambda robot: robot.name)
@@ -156,7 +159,7 @@ def test_two_wheels_cannot_tell_slip():
     assert wheel_odometry(records(CART, FULL_CIRCLE), CART).slip is None
 
 
-def test_a_counter_that_jumps_is_a_break_and_the_path_goes_on_behind_it():
+def test_an_encoder_that_jumps_is_a_break_and_the_path_goes_on_behind_it():
     wheels = records(CART, np.array([0.2, 0.0, 0.0]))
     after = [WheelTicks(w.stamp, w.ticks - (1e6 if i >= 100 else 0)) for i, w in enumerate(wheels)]
     found = wheel_odometry(after, CART)
@@ -182,7 +185,7 @@ def test_a_reset_to_zero_while_driving_is_a_break():
 
 
 @pytest.mark.parametrize("bits", [16, 32])
-def test_a_counter_of_known_width_wraps_without_a_break(bits):
+def test_an_encoder_of_known_width_wraps_without_a_break(bits):
     encoder = CART.encoder.model_copy(update={"bits": bits})
     robot = CART.model_copy(update={"encoder": encoder})
     wheels = records(robot, np.array([-0.3, 0.0, 0.1]))
@@ -195,10 +198,40 @@ def test_a_counter_of_known_width_wraps_without_a_break(bits):
     assert wheel_odometry(wrapped, CART).breaks > 0
 
 
-def test_a_late_message_is_no_break():
+@pytest.mark.parametrize("late", [1, 2, 50])
+def test_a_late_message_is_no_break(late):
     wheels = records(THING, np.array([0.5, 0.0, 0.0]), duration=2.0)
-    late = [WheelTicks(w.stamp + (0.0199 if i == 50 else 0.0), w.ticks) for i, w in enumerate(wheels)]
-    assert wheel_odometry(late, THING).breaks == 0
+    stamped = [WheelTicks(w.stamp + (0.0199 if i == late else 0.0), w.ticks) for i, w in enumerate(wheels)]
+    assert wheel_odometry(stamped, THING).breaks == 0
+
+
+def held_up(wheels, first, count):
+    """Stamps as of arrival, where `count` messages from `first` on were held up and came 1 ms apart."""
+    until = wheels[first + count].stamp - 0.001 * (count + 1)
+    arrived = {first + i: until + 0.001 * i for i in range(count)}
+    return [WheelTicks(arrived.get(i, w.stamp), w.ticks) for i, w in enumerate(wheels)]
+
+
+@pytest.mark.parametrize("count", [5, 13, 40])
+def test_messages_that_were_held_up_and_come_all_at_once_are_no_breaks(count):
+    wheels = records(THING, np.array([0.5, 0.0, 0.3]))
+    for first in (60, 240):
+        assert wheel_odometry(held_up(wheels, first, count), THING).breaks == 0
+
+
+def test_a_jump_right_after_messages_that_were_held_up_is_a_break():
+    wheels = held_up(records(THING, np.array([0.5, 0.0, 0.3])), 60, 13)
+    jumped = [WheelTicks(w.stamp, w.ticks + (5.0 if i > 73 else 0.0)) for i, w in enumerate(wheels)]  # 0.38 m
+    found = wheel_odometry(jumped, THING)
+    assert found.breaks == 1
+    assert wheels[74].stamp not in [m.stamp for m in found.measurements]
+
+
+def test_a_long_pause_does_not_hide_a_jump_after_it():
+    wheels = records(THING, np.array([0.5, 0.0, 0.0]))
+    jumped = [WheelTicks(w.stamp + (3600.0 if i >= 100 else 0.0), w.ticks) for i, w in enumerate(wheels)]
+    jumped = [WheelTicks(w.stamp, w.ticks + (5.0 if i > 101 else 0.0)) for i, w in enumerate(jumped)]
+    assert wheel_odometry(jumped, THING).breaks == 1
 
 
 def test_counts_bridge_a_gap_and_speeds_do_not():
@@ -211,15 +244,16 @@ def test_counts_bridge_a_gap_and_speeds_do_not():
     assert wheel_odometry(speeds, THING).breaks == 1
 
 
-def test_of_records_with_one_stamp_the_last_is_used_and_no_motion_is_lost():
+def test_of_records_with_one_stamp_the_first_is_used_and_no_motion_is_lost():
     wheels = records(THING, np.array([0.2, 0.0, 0.1]), duration=1.0)
     doubled = [WheelTicks(wheels[i - i % 2].stamp, w.ticks) for i, w in enumerate(wheels)]
     found = wheel_odometry(doubled, THING)
-    assert all(m.stamp > m.stamp_reference for m in found.measurements)
+    assert [(m.stamp_reference, m.stamp) for m in found.measurements] == [
+        (a.stamp, b.stamp) for a, b in zip(wheels[:-2:2], wheels[2::2], strict=True)
+    ]
     driven = path(doubled, THING)
     assert len(driven) == len(doubled)
-    first = se2.exp(np.array([0.2, 0.0, 0.1]) * 0.02)  # of the two records at the first stamp
-    np.testing.assert_allclose(se2.compose(first, driven.poses[-1]), path(wheels, THING).poses[-1], atol=1e-12)
+    np.testing.assert_allclose(driven.poses[-1], path(wheels, THING).poses[-1], atol=1e-12)
 
 
 def test_numbers_that_are_not_finite_are_counted_and_stepped_over():
@@ -282,6 +316,16 @@ def test_a_reading_is_as_old_as_a_step_at_most(rng):
     np.testing.assert_allclose(R, error.T @ error / len(age), rtol=0.02, atol=1e-8)
 
 
+def test_the_age_of_a_reading_is_told_by_its_own_step_and_the_one_before_without_breaks():
+    x = np.array([0.0, 0.01, 0.04, 0.05, 5.0, 5.02])
+    wheels = [Odometry(0.1 * i, pose=np.array([v, 0.0, 0.0])) for i, v in enumerate(x)]
+    ending = {m.stamp: m.reading_covariance[0, 0] for m in wheel_odometry(wheels, DRIVER).measurements}
+    pairs = {1: (0.01, 0.01), 2: (0.03, 0.01), 3: (0.01, 0.03), 5: (0.02, 0.0)}
+    assert set(ending) == {wheels[i].stamp for i in pairs}
+    for i, (own, before) in pairs.items():
+        assert ending[wheels[i].stamp] == pytest.approx((own**2 + before**2) / 6, abs=2e-10)
+
+
 def test_what_is_known_of_a_reading_does_not_look_across_a_jump():
     wheels = records(THING, np.array([0.5, 0.0, 0.0]), duration=1.0)
     jumped = [WheelTicks(w.stamp, w.ticks + (1e5 if w.stamp > 0.5 else 0.0)) for w in wheels]
@@ -293,3 +337,147 @@ def test_what_is_known_of_a_reading_does_not_look_across_a_jump():
 def test_the_constant_covariance_knows_nothing_of_readings():
     found = wheel_odometry(records(THING, FULL_CIRCLE, duration=0.2), THING, WheelConfig(covariance="constant"))
     assert all(m.reading_covariance is None for m in found.measurements)
+
+
+def blocks(wheels, robot, config, lengths):
+    """Feed records in blocks of the lengths given, again and again; return the state and all steps."""
+    state, steps, at, turn = wheel.init(robot, config), [], 0, 0
+    while at < len(wheels):
+        length = lengths[turn % len(lengths)]
+        state, found = wheel.step(state, wheels[at : at + length])
+        steps, at, turn = [*steps, *found], at + length, turn + 1
+    return state, steps
+
+
+def bits(steps):
+    return [
+        (m.stamp_reference, m.stamp, m.pose.tobytes(), m.covariance.tobytes(), m.reading_covariance is not None)
+        + (() if m.reading_covariance is None else (m.reading_covariance.tobytes(),))
+        for m in steps
+    ]
+
+
+def state_bits(state):
+    return [part.tobytes() if isinstance(part, np.ndarray) else part for part in state[3:]]
+
+
+KINDS = {
+    "ticks": lambda t, speeds, turned, pose: WheelTicks(t, turned),
+    "speeds": lambda t, speeds, turned, pose: WheelSpeeds(t, speeds),
+    "poses": lambda t, speeds, turned, pose: Odometry(t, pose=pose),
+    "twists": lambda t, speeds, turned, pose: Odometry(t, twist=THING.base.forward_matrix @ speeds),
+}
+
+
+def rough_drive(kind, seed, count=300, rate=100.0):
+    """A drive with everything that goes wrong: slip, jitter, bursts, pauses, equal stamps, NaN, jumps."""
+    rng = np.random.default_rng(seed)
+    dt = rng.uniform(0.2, 1.8, count) / rate
+    dt[rng.random(count) < 0.05] *= 40.0
+    dt[rng.random(count) < 0.1] = 1e-4
+    dt[rng.random(count) < 0.05] = 0.0
+    dt[rng.integers(count)] = 3.0
+    twists = np.cumsum(rng.normal(0.0, 0.02, (count, 3)), axis=0)
+    speeds = twists @ THING.base.inverse_matrix.T + rng.normal(0.0, 0.3, (count, 4))
+    speeds[rng.random(count) < 0.02] += 1e6
+    turned = np.cumsum(speeds * np.minimum(dt, 0.05)[:, None], axis=0)
+    poses = np.cumsum(twists * np.minimum(dt, 0.05)[:, None], axis=0)
+    for values in (speeds, turned, poses):
+        values[rng.random(count) < 0.03] = np.nan
+    stamps = 1e9 + np.cumsum(dt)
+    return [KINDS[kind](*row) for row in zip(stamps.tolist(), speeds, turned, poses, strict=True)]
+
+
+@pytest.mark.parametrize("covariance", ["growing", "constant"])
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=12)
+@given(seed=st.integers(0, 2**16), lengths=st.lists(st.integers(0, 40), min_size=1, max_size=6).filter(any))
+def test_steps_do_not_depend_on_how_records_are_divided_into_blocks(kind, covariance, seed, lengths):
+    wheels, config = rough_drive(kind, seed), WheelConfig(covariance=covariance)
+    whole = wheel_odometry(wheels, THING, config)
+    assert whole.measurements
+    assert whole.refused > 0
+    for portions in ([1], lengths, [len(wheels)]):
+        state, steps = blocks(wheels, THING, config, portions)
+        assert bits(steps) == bits(whole.measurements)
+        assert (state.breaks, state.refused, state.late) == (whole.breaks, whole.refused, 0)
+        assert state_bits(state) == state_bits(blocks(wheels, THING, config, [len(wheels)])[0])
+
+
+@pytest.mark.parametrize("cut", [1, 2, 100, 299])
+def test_steps_do_not_depend_on_records_to_come(cut):
+    wheels = rough_drive("ticks", 7)
+    known = wheel_odometry(wheels[:cut], THING).measurements
+    assert bits(known) == bits(wheel_odometry(wheels, THING).measurements[: len(known)])
+
+
+def test_a_slip_window_of_many_records_is_remembered_and_no_more_than_that():
+    wheels = rough_drive("ticks", 3, count=2000, rate=1000.0)
+    config = WheelConfig(slip_window=0.5)
+    state, steps = blocks(wheels, THING, config, [1])
+    assert bits(steps) == bits(wheel_odometry(wheels, THING, config).measurements)
+    assert state.stamps[0] >= state.stamps[-1] - 0.5 - 1e-6
+    assert len(state.stamps) > 100
+
+
+def test_a_step_leaves_the_state_that_it_started_from_as_it_was():
+    wheels = records(THING, FULL_CIRCLE)
+    state, _ = wheel.step(wheel.init(THING), wheels[:100])
+    before = state_bits(state)
+    once, again = wheel.step(state, wheels[100:]), wheel.step(state, wheels[100:])
+    assert state_bits(state) == before
+    assert bits(once[1]) == bits(again[1])
+    for array in (once[0].stamps, once[0].disagreement, once[0].values, once[0].displacement):
+        assert not array.flags.writeable
+
+
+def test_records_older_than_the_newest_are_passed_over_and_counted():
+    wheels = records(THING, np.array([0.2, 0.0, 0.1]))
+    state, steps = blocks([*wheels[:50], wheels[20], *wheels[48:]], THING, None, [1])
+    assert (state.late, state.breaks) == (2, 0)
+    assert bits(steps) == bits(wheel_odometry(wheels, THING).measurements)
+
+
+def test_a_record_that_is_not_finite_does_not_make_later_ones_late():
+    wheels = records(THING, np.array([0.2, 0.0, 0.1]), duration=1.0)
+    state, steps = blocks([*wheels[:20], WheelTicks(1e9, np.full(4, np.nan)), *wheels[20:]], THING, None, [1])
+    assert (state.refused, state.late) == (1, 0)
+    assert bits(steps) == bits(wheel_odometry(wheels, THING).measurements)
+
+
+@pytest.mark.parametrize(
+    ("later", "message"),
+    [
+        (WheelSpeeds(9.0, np.zeros(4)), "of several kinds"),
+        (WheelTicks(9.0, np.zeros(3)), "changing length"),
+    ],
+)
+def test_a_later_record_of_another_kind_is_refused_and_the_state_goes_on(later, message):
+    wheels = records(THING, FULL_CIRCLE, duration=2.0)
+    state, first = wheel.step(wheel.init(THING), wheels[:50])
+    with pytest.raises(EstimationError, match=message):
+        wheel.step(state, [later])
+    _, rest = wheel.step(state, wheels[50:])
+    assert bits([*first, *rest]) == bits(wheel_odometry(wheels, THING).measurements)
+
+
+def test_what_is_read_of_a_drivers_odometry_is_fixed_by_its_first_record():
+    pose, twist = np.zeros(3), np.array([0.1, 0.0, 0.0])
+    by_twist = [Odometry(0.0, twist=twist), Odometry(0.1, pose=pose, twist=twist)]
+    np.testing.assert_allclose(wheel_odometry(by_twist, DRIVER).measurements[0].pose, [0.01, 0.0, 0.0])
+    by_pose = [Odometry(0.0, pose=pose, twist=twist), Odometry(0.1, pose=pose, twist=twist)]
+    np.testing.assert_array_equal(wheel_odometry(by_pose, DRIVER).measurements[0].pose, 0.0)
+    with pytest.raises(EstimationError, match="Neither a pose nor a twist"):
+        wheel_odometry([by_pose[0], Odometry(0.1, twist=twist)], DRIVER)
+
+
+def test_no_records_change_nothing():
+    state = wheel.init(THING)
+    assert wheel.step(state, []) == (state, ())
+
+
+def test_records_that_are_not_finite_before_the_first_good_one_leave_the_start_open():
+    wheels = [WheelTicks(-0.1, np.full(4, np.nan)), *records(THING, np.array([0.2, 0.0, 0.1]), duration=1.0)]
+    state, steps = blocks(wheels, THING, None, [1])
+    assert bits(steps) == bits(wheel_odometry(wheels[1:], THING).measurements)
+    assert state.refused == 1

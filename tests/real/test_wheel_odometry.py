@@ -3,6 +3,7 @@
 import bz2
 from importlib.resources import files
 
+import jaxtyping
 import numpy as np
 import pytest
 import yaml
@@ -11,7 +12,8 @@ from rosbags.highlevel import AnyReader
 from longreach.evaluation.alignment import align_pairs, associate
 from longreach.geometry import se2
 from longreach.measurement import Odometry, WheelTicks
-from longreach.odometry.chain import chain
+from longreach.odometry import wheel
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory, monotone_clock
@@ -52,22 +54,26 @@ def test_nominal_parameters_give_the_known_error_on_polimi(data, bag, bound):
     wheels, truth = polimi(data / "polimi" / bag)
     found = wheel_odometry(wheels, described("polimi"))
     assert (found.breaks, found.refused) == (0, 0)
-    path = chain(found.measurements, [w.stamp for w in wheels])
+    path = integrate(found.measurements, [w.stamp for w in wheels])
     assert bound - 0.001 < ate(path, truth) <= bound
     # Nominal wheels are 5 % off, and yet they agree with each other about what they do.
     assert np.sqrt(np.mean(found.slip**2)) < 0.01
 
 
-def test_brenners_tracks_give_the_known_error(data):
+def brenner(data):
     motors = [line.split() for line in (data / "brenner" / "robot4_motors.txt").read_text().splitlines()]
-    wheels = [WheelTicks(float(row[1]) / 1e3, np.array([row[2], row[6]], dtype=float)) for row in motors]
+    return [WheelTicks(float(row[1]) / 1e3, np.array([row[2], row[6]], dtype=float)) for row in motors]
+
+
+def test_brenners_tracks_give_the_known_error(data):
+    wheels = brenner(data)
     rows = [line.split()[1:] for line in (data / "brenner" / "robot4_reference.txt").read_text().splitlines()]
     reference = np.array(rows, dtype=float) / 1e3
     poses = np.column_stack([reference[:, 1:3], np.zeros(len(reference))])
     truth = PoseTrajectory(reference[:, 0], poses, has_heading=False)
     found = wheel_odometry(wheels, described("brenner"))
     assert found.breaks == 0
-    path = chain(found.measurements, [w.stamp for w in wheels])
+    path = integrate(found.measurements, [w.stamp for w in wheels])
     assert ate(path, truth) == pytest.approx(0.427, abs=0.005)  # 0.429, associated in another way
 
 
@@ -94,7 +100,7 @@ def test_the_covariance_is_of_the_right_size_on_short_relations(data, name, axes
         if not (abs(t2 - t1) <= 5.0 and i < j):
             continue
         stamps = [w.stamp for w in wheels[i : j + 1]]
-        path = chain([ending[s] for s in stamps[1:]], stamps)
+        path = integrate([ending[s] for s in stamps[1:]], stamps)
         error = se2.difference(path.poses[-1], np.array([x, y, yaw]))[axes]
         P = (path.covariance[-1] + np.diag([0.01, 0.01, 0.0]) ** 2)[np.ix_(axes, axes)]  # laid by eye, to a centimetre
         nees.append(error @ np.linalg.solve(P, error) / len(axes))
@@ -109,10 +115,50 @@ def test_the_covariance_is_of_the_right_size_over_three_seconds_of_polimi(data):
         found = wheel_odometry(wheels, described("polimi")).measurements
         for k in range(0, len(found) - 150, 150):
             stamps = [found[k].stamp_reference, *(m.stamp for m in found[k : k + 150])]
-            path = chain(found[k : k + 150], stamps)
+            path = integrate(found[k : k + 150], stamps)
             ends, known = truth.at(np.array([stamps[0], stamps[-1]]), longest_gap=0.1)
             if known.all():
                 error = se2.difference(path.poses[-1], se2.between(ends[0], ends[1]))
                 nees.append(error @ np.linalg.solve(path.covariance[-1], error) / 3)
     assert len(nees) > 30
     assert 0.8 < np.sqrt(np.mean(nees)) < 1.6  # its nominal wheels are 5 % off
+
+
+def bits(steps):
+    return [
+        (m.stamp_reference, m.stamp, m.pose.tobytes(), m.covariance.tobytes(), m.reading_covariance.tobytes())
+        for m in steps
+    ]
+
+
+@pytest.fixture
+def shapes_unchecked():
+    """Turn the shape checks off: for a log fed record by record they take longer than what they check."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.usefixtures("shapes_unchecked")
+@pytest.mark.parametrize("log", ["intel", "aces", "fr079", "csail", "bag1.bag", "bag3.bag", "brenner"])
+def test_records_one_by_one_and_in_blocks_give_the_steps_of_the_whole_log(data, log, rng):
+    if log.endswith(".bag"):
+        robot, wheels = "polimi", polimi(data / "polimi" / log)[0]
+    elif log == "brenner":
+        robot, wheels = log, brenner(data)
+    else:
+        path = data / log / f"{log}.clf.bz2"
+        if not path.is_file():
+            pytest.skip(f"there is no {log} log")
+        robot, wheels = log if log == "intel" else "aces", carmen(path)[0]
+    whole = wheel_odometry(wheels, described(robot))
+    assert whole.breaks == 0
+    lengths = rng.integers(1, 50, len(wheels)).tolist()
+    for blocks in ([1] * len(wheels), lengths):
+        state, steps, at = wheel.init(described(robot)), [], 0
+        for length in blocks:
+            state, found = wheel.step(state, wheels[at : at + length])
+            steps += found
+            at += length
+        assert bits(steps) == bits(whole.measurements)
+        assert (state.breaks, state.refused, state.late) == (0, 0, 0)

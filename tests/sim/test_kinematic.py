@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from longreach.errors import ConfigError
 from longreach.geometry import se2
 from longreach.measurement import WheelSpeeds, WheelTicks
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.bases import MecanumBase
 from longreach.robot.description import Encoder, ImuSensor, Lidar, Mount, RobotDescription
@@ -34,7 +34,7 @@ def make(robot=ROBOT, config=None, **arguments):
 
 
 def wheel_path(recording, robot=ROBOT):
-    return chain(wheel_odometry(recording.wheels, robot).measurements, [w.stamp for w in recording.wheels])
+    return integrate(wheel_odometry(recording.wheels, robot).measurements, [w.stamp for w in recording.wheels])
 
 
 def test_wheels_without_slip_integrate_to_the_truth():

@@ -26,7 +26,7 @@ from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.estimation.smoother import smooth
 from longreach.evaluation.consistency import consistency_metrics
 from longreach.measurement import Recording, RelativePoseMeasurement
-from longreach.odometry.chain import chain
+from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import lidar_odometry
 from longreach.odometry.scan_match import ScanMatch
 from longreach.odometry.wheel import wheel_odometry
@@ -96,8 +96,8 @@ def estimate(
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
     alone, matches = _matches(recording, robot, config, wheels.measurements if "wheels" in sources else (), tell)
     dead_reckoning = {
-        "lidar": chain(_found(alone), [scan.stamp for scan in recording.scans]),
-        "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
+        "lidar": integrate(_found(alone), [scan.stamp for scan in recording.scans]),
+        "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
     odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}

@@ -20,13 +20,12 @@ from longreach.estimation.fusion import Correction, Event, FusionState
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.observation import planar_imu
 from longreach.measurement import LaserScan, PoseMeasurement, Recording, RelativePoseMeasurement, Wheels
-from longreach.odometry import lidar
+from longreach.odometry import lidar, wheel
 from longreach.odometry.lidar import LidarState
 from longreach.odometry.scan_match import ScanMatch
-from longreach.odometry.wheel import wheel_odometry
+from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
 
-_REMEMBERED = 12  # wheel records that the next one is seen with
 _STEPS = 100  # of the wheels that are remembered: two seconds of them
 _NOTHING, _UNTRIED = Recording("live"), Trust()
 _HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
@@ -45,18 +44,18 @@ class LocalizerState:
     """What the sources and the filter remember.
 
     trust, match: in the wheels as a guide of the LIDAR, and the last scan's match. steps: the last of the wheels, for
-    the scans that are to come. carried_to: the reading up to which a counter carries its anchor [s].
+    the scans that are to come. carried_to: stamp [s] of the encoder reading that the filter's pose clone was moved to.
     """
 
     robot: RobotDescription
     config: EstimateConfig
     filter: FusionState
     start: float
+    wheels: WheelState
     lidar: LidarState
     T_base_imu: Float[np.ndarray, "4 4"]
     trust: Trust = _UNTRIED
     match: ScanMatch | None = None
-    wheels: tuple[Wheels, ...] = ()
     steps: tuple[RelativePoseMeasurement, ...] = ()
     carried_to: float = -np.inf
 
@@ -80,7 +79,9 @@ def init(
     chosen = chosen.model_copy(update={"history": _HISTORY, **led})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
     T_base_imu = sensor_mount(_NOTHING, robot, "imu")
-    return LocalizerState(robot, config, fusion.init(stamp, pose, pose_covariance, chosen), stamp, matcher, T_base_imu)
+    odometry = wheel.init(robot, config.wheels)
+    belief = fusion.init(stamp, pose, pose_covariance, chosen)
+    return LocalizerState(robot, config, belief, stamp, odometry, matcher, T_base_imu)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -123,17 +124,15 @@ def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
 
 
 def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[LocalizerState, list[Event]]:
-    """Turn new wheel records into steps of their counter, each seen with the records before it."""
-    known = state.wheels[-1].stamp if state.wheels else -np.inf
-    window = (*state.wheels, *(record for record in records if record.stamp > known))
-    found = wheel_odometry(window, state.robot, state.config.wheels, known).measurements
+    """Turn new wheel records into steps of the wheel odometry; those that begin before the start are left out."""
+    wheels, found = wheel.step(state.wheels, records)
     new = tuple(step for step in found if step.stamp_reference >= state.start)
     events = counter_events(new, state.carried_to)
     carried_to = state.carried_to
     if new:
         carried_to = -np.inf if new[-1].reading_covariance is None else new[-1].stamp
     steps = (*state.steps, *new)[-_STEPS:]
-    return replace(state, wheels=window[-_REMEMBERED:], steps=steps, carried_to=carried_to), events
+    return replace(state, wheels=wheels, steps=steps, carried_to=carried_to), events
 
 
 def _lidar(state: LocalizerState, scan: LaserScan) -> tuple[LocalizerState, list[Event]]:

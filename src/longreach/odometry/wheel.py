@@ -1,58 +1,78 @@
-"""Wheel odometry: what the wheels did between two records as a motion of the base, and how wrong that may be.
+"""Wheel odometry: the base's motion between two wheel records, with its covariance.
 
-Each motion is the SE(2) exponential of a body displacement ξ, the motion at a constant twist; the driver of the
-thesis' base integrates by backward Euler.
+`init` and `step` take the records of one robot as they come. `wheel_odometry` is one `step` over all records of a
+recording. Results do not depend on how records are divided into calls of `step`, to the last bit.
 
-**How wrong.** `constant` is the thesis' (3.23). The default, `growing`, says that on the way errors arise at random
-whose variance is in proportion to the distance d and to the angle φ turned (`robot.description.WheelNoise`),
+**Motion.** Each step is the SE(2) exponential of a body displacement ξ, the motion at a constant twist; the driver of
+the thesis' base integrates by backward Euler. Encoder counts and wheel angles are differenced. Speeds and twists hold
+for an instant; a step takes the mean of the two at its ends (trapezoid rule), which is right to second order, where the
+last one alone would lag by half a step. The poses of a robot's own driver are taken relative to each other; its twists
+are used only where it gives no poses.
+
+**Covariance.** `constant` is the thesis' (3.23). The default, `growing`, is a random walk whose variance is in
+proportion to the distance d and to the angle φ turned (`robot.description.WheelNoise`),
 
     along the direction of travel  along² d + turning² φ + rest² dt,    across it  across² d + turning² φ + rest² dt,
     heading  heading_travel² d + heading_turning² φ + heading_rest² dt,
 
-and carries each to the end of the step, Q = ∫ Ad(exp(-sξ)) (…) Ad(exp(-sξ))ᵀ ds. That is where the cross terms come
-from: on a straight line cov(y, θ) = d/2 · var θ, because an early error of the heading has become one of y. So it makes
-no difference into how many records a motion is cut.
+carried to the end of the step, Q = ∫ Ad(exp(-sξ)) (…) Ad(exp(-sξ))ᵀ ds. The integral gives the cross terms: on a
+straight line cov(y, θ) = d/2 · var θ, because an early error of the heading has become one of y. So the covariance of a
+motion does not depend on the number of records that it is divided into.
 
-Where four wheels disagree about three velocities they slip. The part that no motion explains (`residual_matrix`), as
-the distance ρ over the last `slip_window`, is what the explained parts are taken to be wrong by: ρ² for x and for y and
-(ρ/k)² for θ in each window. The window keeps the rounding of an encoder's counts, which comes and goes from record to
-record, from being counted each time.
+**Slip.** Four wheels measure three velocities; where they disagree they slip. The part of their motion that no twist
+explains (`residual_matrix`) is summed to a distance ρ over the last `slip_window`. It adds ρ² for x and y and (ρ/k)²
+for θ in each window. A window is used because the rounding of encoder counts comes and goes from record to record, and
+would be counted each time.
 
-How that fares with one set of numbers, as the root of the mean NEES per degree of freedom (1: as wrong as it says):
-1.0 on the Intel log's relations of up to 5 s; 1.0 across and 0.8 in heading on those of ACES; 1.0 to 1.8 on the mecanum
-base of polimi over 1 to 10 s, whose nominal wheels are known to be 5 % off, which no random error describes.
+**Reading covariance.** An encoder reading has an error of its own, which does not add up from step to step: rounding,
+and age. A message holds the encoder's last state, read at some time since the message before. The age is uniform over
+one step, so its mean square is ξξᵀ/3, here the mean of the step to the reading and the one before. (In CARMEN's logs
+the pose beside a scan is the last one of the wheels' own messages, up to 0.2 s old.)
+
+**Breaks.** A step that is `break_factor` times faster than the robot can be is no motion; an encoder was reset or
+miscounted, and no measurement bridges it. A late message makes the interval before it long and the one after it short,
+down to nothing, so a step may take the mean interval where its own is shorter. The mean is taken over the last 50
+intervals: delays move stamps, but neither the number of messages nor the time that they span. A pause counts as
+`longest_gap` at most. (On the Intel log, with up to 13 messages in 13 ms after a pause of a second, the median of the
+last 51 intervals takes 342 good steps for breaks, the mean none.)
+
+**Input that cannot be used** is passed over and counted: numbers that are not finite (`refused`), and a stamp before
+the newest one (`late`). Of records with one stamp the first is used, because its step was given out when it came. No
+motion is lost thereby: the next step starts from it.
+
+Consistency with one set of numbers, as the root of the mean NEES per degree of freedom (1 is ideal): 1.0 on the Intel
+log's relations of up to 5 s; 1.0 across and 0.8 in heading on those of ACES; 1.0 to 1.8 on the mecanum base of polimi
+over 1 to 10 s, whose nominal wheel radii are known to be 5 % off, which no random error describes.
 
 Source: (3.19)–(3.23); Chong & Kleeman 1997, "Accurate odometry and error modelling for a mobile robot".
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.errors import EstimationError
-from longreach.geometry import se2
 from longreach.measurement import (
     Odometry,
     RelativePoseMeasurement,
     Wheels,
     WheelSpeeds,
-    WheelTicks,
     frozen_array,
 )
-from longreach.odometry import _relative_kernels, _wheel_kernels
+from longreach.odometry import _wheel_kernels
+from longreach.odometry._wheel_kernels import COUNTS, POSES, RATES, Model
 from longreach.robot.description import RobotDescription, WheelNoise
 
-_Kind = Literal["ticks", "speeds", "pose", "twist"]
 _FLOOR = 1e-10  # [m², rad²], of a reading: a hundredth of a millimetre keeps covariances definite
 _Variance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class WheelConfig(BaseModel):
-    """Settings of wheel odometry; how noisy a robot's wheels are stands in its description."""
+    """Settings of wheel odometry; a robot's own wheel noise is in its description."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -68,23 +88,58 @@ class WheelConfig(BaseModel):
     break_factor: float = Field(
         default=3.0,
         gt=1,
-        description="A motion this many times faster than the robot can go is a counter that jumped [1]; ours.",
+        description="A motion this many times faster than the robot can go is an encoder fault [1]; ours.",
     )
     longest_gap: float = Field(
-        default=1.0, gt=0, description="Speeds further apart in time say nothing of what was between them [s]; ours."
+        default=1.0, gt=0, description="Speeds further apart in time say nothing of the motion between them [s]; ours."
     )
     slip_window: float = Field(
         default=0.1, gt=0, description="How long a slip lasts [s]; a wheel regains its grip in that."
     )
 
 
+class _Signal(NamedTuple):
+    """What the records of one stream hold: `field` of each `record`, `width` numbers, and how they become steps."""
+
+    record: type
+    field: str
+    width: int
+    model: Model
+
+
+class WheelState(NamedTuple):
+    """What wheel odometry knows after the newest record. Arrays are read-only.
+
+    signal: what the records hold, fixed by the first one; None before it.
+    stamps (k,), disagreement (k,): of the records in the slip window [s], the newest one last; how far [m] the wheels
+        disagree in the step that ends at each.
+    values (1, w): numbers of the newest record.
+    displacement (3,): ξ of the last step [m, m, rad], zeros where it was a break.
+    interval, intervals: mean interval between records [s], and how many there were.
+    breaks: steps that no wheel can have made, and those of speeds across too long a gap; no measurement bridges them.
+    refused, late: records with a number that is not finite, and with a stamp before the newest; they are passed over.
+    """
+
+    robot: RobotDescription
+    config: WheelConfig
+    signal: _Signal | None = None
+    stamps: np.ndarray = frozen_array([], (0,), "WheelState.stamps")
+    disagreement: np.ndarray = frozen_array([], (0,), "WheelState.disagreement")
+    values: np.ndarray = frozen_array([[]], (1, 0), "WheelState.values")
+    displacement: np.ndarray = frozen_array([0.0] * 3, (3,), "WheelState.displacement")
+    interval: float = 0.0
+    intervals: int = 0
+    breaks: int = 0
+    refused: int = 0
+    late: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class WheelOdometry:
-    """Motions from record to record (`source` wheels), and what was left out.
+    """Wheel odometry of a whole recording: steps (`source` wheels), and what was left out.
 
-    breaks: steps that no wheel can have made, or across too long a gap; no measurement bridges them.
-    refused: records with a number that is not finite; the step goes past them.
-    slip: for each measurement the speed (n,) [m/s] at which the wheels disagree, None where nothing can tell.
+    breaks, refused: as in `WheelState`.
+    slip: for each measurement the slip speed (n,) [m/s] over its window, None where slip cannot be observed.
     """
 
     measurements: tuple[RelativePoseMeasurement, ...]
@@ -93,148 +148,144 @@ class WheelOdometry:
     slip: Float[np.ndarray, " n"] | None = None
 
 
-def wheel_odometry(
-    wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None, after: float = -np.inf
-) -> WheelOdometry:
-    """Turn wheel records into relative poses of the base with their covariance, one a step that ends after `after` [s].
+def init(robot: RobotDescription, config: WheelConfig | None = None) -> WheelState:
+    """Start before the first record."""
+    return WheelState(robot, config or WheelConfig())
 
-    Counts and angles are differenced. Of speeds and twists, which hold for an instant, the mean of the two at a step's
-    ends is taken for the step (trapezoid): right to second order, where the last one alone would lag half a step. Poses
-    that a driver made are taken relative to each other; its twists only where it gives no poses.
-    Of records with one stamp the last is used.
+
+def step(state: WheelState, records: Sequence[Wheels]) -> tuple[WheelState, tuple[RelativePoseMeasurement, ...]]:
+    """Take new records, in order of their stamps; return the steps that they end.
+
+    Arguments:
+        records: all of the kind of the first one, which fixes what is read of them. Where the first is an `Odometry`
+            with a pose, that is the pose.
 
     Raises:
-        EstimationError: the records are of several kinds or out of order, or the description has no such wheels.
+        EstimationError: the records are of several kinds, or the description has no such wheels. The state stays valid.
     """
-    config = config or WheelConfig()
-    if not wheels:
-        return WheelOdometry(())
-    kind, stamps, values, refused = _read(wheels)
-    if len(stamps) < 2:
-        return WheelOdometry((), refused=refused)
-    dt = np.diff(stamps)
-    xi, residual = _displacements(kind, values, dt, robot)
-    good = _possible(xi, dt, robot, config) & ((dt <= config.longest_gap) | (kind in ("ticks", "pose")))
-    n, base, slip = len(xi), robot.base, None
-    rate, span, Q = np.zeros(n), np.zeros(n), np.empty((n, 3, 3))
-    if residual is not None and base is not None:
-        _wheel_kernels.slipped(residual, good, stamps, config.slip_window, rate, span)
-        slip = rate
-    if config.covariance == "growing":
-        lever = 1.0 if base is None else base.lever
-        _wheel_kernels.growing(xi, stamps, _numbers(robot.wheel_noise), rate, span, lever, Q)
-        R = np.empty((n, 3, 3))
-        _wheel_kernels.readings(xi, good, _rounding(kind, robot), R)
-    else:
-        _relative_kernels.spread_all(xi, _constant(dt, config), Q)
-        R = [None] * n
-    poses, clock, rows = se2.exp(xi), stamps.tolist(), np.flatnonzero(good & (stamps[1:] > after))
-    measurements = tuple(
-        RelativePoseMeasurement(clock[i], clock[i + 1], poses[i], Q[i], "wheels", R[i]) for i in rows.tolist()
-    )
-    slip = None if slip is None else frozen_array(slip[rows], (None,), "WheelOdometry.slip")
-    return WheelOdometry(measurements, int(np.count_nonzero(~good)), refused, slip)
+    state, steps, _ = _advance(state, records)
+    return state, steps
 
 
-def _read(wheels: Sequence[Wheels]) -> tuple[_Kind, np.ndarray, np.ndarray, int]:
-    """Return what the records hold, increasing stamps (n,), the values (n, …), and how many were not finite."""
-    kind, rows = _rows(wheels)
-    if len(set(map(len, rows))) > 1:
-        raise EstimationError("The wheel records are of changing length; each must have one number a wheel.")
-    stamps, values = np.array([w.stamp for w in wheels]), np.array(rows)
-    use = np.empty(len(stamps), dtype=np.bool_)
-    refused, backwards = _wheel_kernels.usable(stamps, values, use)
-    if backwards:
+def wheel_odometry(
+    wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None
+) -> WheelOdometry:
+    """Turn the wheel records of a recording into steps: `step` over all of them.
+
+    Raises:
+        EstimationError: as `step`, or the records are out of order.
+    """
+    state, steps, slip = _advance(init(robot, config), wheels)
+    if state.late:
         raise EstimationError("The stamps of the wheel records run backwards; repair them with monotone_clock.")
-    return kind, stamps[use], values[use], refused
+    return WheelOdometry(steps, state.breaks, state.refused, slip)
 
 
-def _rows(wheels: Sequence[Wheels]) -> tuple[_Kind, list[np.ndarray]]:
-    if all(isinstance(w, WheelTicks) for w in wheels):
-        return "ticks", [w.ticks for w in wheels if isinstance(w, WheelTicks)]
-    if all(isinstance(w, WheelSpeeds) for w in wheels):
-        return "speeds", [w.speeds for w in wheels if isinstance(w, WheelSpeeds)]
-    driver = [w for w in wheels if isinstance(w, Odometry)]
-    if len(driver) < len(wheels):
-        raise EstimationError("The wheel records are of several kinds; use only ticks, only speeds or only odometry.")
-    poses = [w.pose for w in driver if w.pose is not None]
-    twists = [w.twist for w in driver if w.twist is not None]
-    if len(poses) == len(driver):
-        return "pose", poses
-    if len(twists) == len(driver):
-        return "twist", twists
-    raise EstimationError("Neither a pose nor a twist is in every odometry record; use those that have one.")
+def _advance(
+    state: WheelState, records: Sequence[Wheels]
+) -> tuple[WheelState, tuple[RelativePoseMeasurement, ...], np.ndarray | None]:
+    """Return the state after the records, the steps that they end, and the slip speed (n,) [m/s] of each step."""
+    if not records:
+        return state, (), None
+    signal = state.signal or _signal(records[0], state.robot, state.config)
+    stamps, values = _numbers(records, signal)
+    known, n = len(state.stamps), len(records)
+    stamps = np.concatenate((state.stamps, stamps))
+    disagreement = np.concatenate((state.disagreement, np.zeros(n)))
+    values = np.concatenate((state.values if known else np.zeros((1, signal.width)), values))
+    displacement = state.displacement.copy()
+    ends, poses, Q, R, slip = np.empty((2, n)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.zeros(n)
+    memory = (known, stamps, disagreement, values, displacement, state.interval, state.intervals)
+    count, first, last, interval, intervals, refused, late, breaks = _wheel_kernels.advance(
+        signal.model, *memory, ends, poses, Q, R, slip
+    )
+    state = WheelState(
+        robot=state.robot,
+        config=state.config,
+        signal=signal,
+        stamps=_read_only(stamps[first : last + 1]),
+        disagreement=_read_only(disagreement[first : last + 1]),
+        values=_read_only(values[:1]),
+        displacement=_read_only(displacement),
+        interval=interval,
+        intervals=intervals,
+        breaks=state.breaks + breaks,
+        refused=state.refused + refused,
+        late=state.late + late,
+    )
+    starts, stops = ends[:, :count].tolist()
+    rows = zip(starts, stops, poses, Q, R if signal.model.growing else [None] * count, strict=False)
+    steps = tuple([RelativePoseMeasurement(start, stop, T, q, "wheels", r) for start, stop, T, q, r in rows])
+    return state, steps, frozen_array(slip[:count], (None,), "slip") if len(signal.model.residual) else None
 
 
-def _displacements(
-    kind: _Kind, values: np.ndarray, dt: np.ndarray, robot: RobotDescription
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return body displacements ξ (n, 3) [m, m, rad], and how far (n,) [m] the wheels disagree, or None."""
-    if kind == "pose":
-        return se2.difference(values[:-1], values[1:]), None
-    if kind == "twist":
-        return 0.5 * (values[:-1] + values[1:]) * dt[:, None], None
-    base = robot.base
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array = array.copy()  # so that a block's arrays are not kept alive by what is remembered of them
+    array.flags.writeable = False
+    return array
+
+
+def _signal(record: Wheels, robot: RobotDescription, config: WheelConfig) -> _Signal:
+    """Return what a stream holds that starts with `record`, and how its records become steps."""
+    if isinstance(record, Odometry):
+        if record.pose is None and record.twist is None:
+            raise EstimationError("Neither a pose nor a twist is in every odometry record; use those that have one.")
+        field, kind = ("twist", RATES) if record.pose is None else ("pose", POSES)
+        return _Signal(Odometry, field, 3, _model(kind, np.eye(3), np.empty(0), 1.0, robot, config))
+    field, kind = ("speeds", RATES) if isinstance(record, WheelSpeeds) else ("ticks", COUNTS)
+    base, width, unit = robot.base, len(getattr(record, field)), 1.0
     if base is None:
-        raise EstimationError(f"The recording has wheel {kind}, but the description of {robot.name} has no base.")
-    if values.shape[1] != len(base.wheel_names):
+        raise EstimationError(f"The recording has wheel {field}, but the description of {robot.name} has no base.")
+    if width != len(base.wheel_names):
         raise EstimationError(
-            f"A wheel record has {values.shape[1]} numbers, but {robot.name} has {len(base.wheel_names)} wheels: "
+            f"A wheel record has {width} numbers, but {robot.name} has {len(base.wheel_names)} wheels: "
             f"{', '.join(base.wheel_names)}."
         )
-    if kind == "speeds":
-        turned = 0.5 * (values[:-1] + values[1:]) * dt[:, None]
-    else:
-        turned = _counted(np.diff(values, axis=0), robot)
-    residual = turned @ base.residual_matrix.T
-    return turned @ base.forward_matrix.T, residual[:, 0] if residual.shape[1] else None  # (3.21)
+    if kind == COUNTS:
+        if robot.encoder is None:
+            raise EstimationError(f"The recording has wheel ticks, but the description of {robot.name} has no encoder.")
+        unit = robot.encoder.radians_per_tick
+    model = _model(kind, base.forward_matrix, base.residual_matrix.ravel(), unit, robot, config)
+    return _Signal(type(record), field, width, model)
 
 
-def _counted(steps: np.ndarray, robot: RobotDescription) -> np.ndarray:
-    """Return the wheels' turns [rad] from differences of their counters, which may have wrapped."""
-    encoder = robot.encoder
-    if encoder is None:
-        raise EstimationError(f"The recording has wheel ticks, but the description of {robot.name} has no encoder.")
-    if encoder.bits is not None:
-        turn = 2.0**encoder.bits
-        steps = steps - turn * np.round(steps / turn)
-    return steps * encoder.radians_per_tick
-
-
-def _possible(xi: np.ndarray, dt: np.ndarray, robot: RobotDescription, config: WheelConfig) -> np.ndarray:
-    """Return which steps (n,) a robot can make; shorter ones than usual, late messages, count as usual ones."""
-    usual = np.sort(dt)[(len(dt) - 1) // 2]
-    most = np.outer(np.maximum(dt, usual), config.break_factor * np.array(robot.velocity_limits))
-    return np.all(np.abs(xi) <= most, axis=1)
-
-
-def _constant(dt: np.ndarray, config: WheelConfig) -> np.ndarray:
-    """Return the variance (n, 3, 3) of the integral over dt of twists whose errors are independent at `twist_rate`."""
-    return dt[:, None, None] / config.twist_rate * np.diag(config.twist_variance)  # (3.23)
-
-
-def _numbers(noise: WheelNoise) -> tuple[float, ...]:
-    return (
-        noise.along,
-        noise.across,
-        noise.turning,
-        noise.heading_travel,
-        noise.heading_turning,
-        noise.rest,
-        noise.heading_rest,
+def _model(
+    kind: int, forward: np.ndarray, residual: np.ndarray, unit: float, robot: RobotDescription, config: WheelConfig
+) -> Model:
+    """Return the numbers that steps are computed with; `unit` [rad] of one count."""
+    encoder, base = robot.encoder, robot.base
+    rounding = np.full(3, _FLOOR)
+    if kind == COUNTS and encoder is not None and encoder.resolution is not None:
+        rounding += np.sum(forward**2, axis=1) * encoder.resolution**2 / 12
+    return Model(
+        signal=kind,
+        forward=frozen_array(forward, (3, None), "Model.forward"),
+        residual=frozen_array(residual, (None,), "Model.residual"),
+        unit=unit,
+        wrap=2.0**encoder.bits if kind == COUNTS and encoder is not None and encoder.bits is not None else 0.0,
+        bounds=frozen_array(config.break_factor * np.array(robot.velocity_limits), (3,), "Model.bounds"),
+        longest_gap=config.longest_gap,
+        slip_window=config.slip_window,
+        growing=config.covariance == "growing",
+        noise=frozen_array(_noise(robot.wheel_noise), (7,), "Model.noise"),
+        lever=1.0 if base is None else base.lever,
+        constant=frozen_array(np.array(config.twist_variance) / config.twist_rate, (3,), "Model.constant"),
+        rounding=frozen_array(rounding, (3,), "Model.rounding"),
     )
 
 
-def _rounding(kind: _Kind, robot: RobotDescription) -> np.ndarray:
-    """Return the variance (3,) of a reading by its counter's rounding, or a floor that keeps covariances definite.
+def _noise(noise: WheelNoise) -> list[float]:
+    travel = [noise.along, noise.across, noise.turning, noise.heading_travel, noise.heading_turning]
+    return [*travel, noise.rest, noise.heading_rest]
 
-    A reading has another error, its age: a message holds the last state of a counter that was read at some time since
-    the message before, so the age is evenly spread over one step, with a mean square of ξξᵀ/3, ξξᵀ the mean over the
-    step to the reading and the one before. (In CARMEN's logs the pose beside a scan is just that: the last one of the
-    wheels' own messages, up to 0.2 s old.)
-    """
-    rounding = np.full(3, _FLOOR)
-    base, encoder = robot.base, robot.encoder
-    if kind == "ticks" and base is not None and encoder is not None and encoder.resolution is not None:
-        rounding += np.sum(base.forward_matrix**2, axis=1) * encoder.resolution**2 / 12
-    return rounding
+
+def _numbers(records: Sequence[Wheels], signal: _Signal) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps (n,) [s] and values (n, w) of records, which must be of the stream's kind."""
+    if not all(isinstance(record, signal.record) for record in records):
+        raise EstimationError("The wheel records are of several kinds; use only ticks, only speeds or only odometry.")
+    rows = [getattr(record, signal.field) for record in records]
+    if any(row is None for row in rows):
+        raise EstimationError("Neither a pose nor a twist is in every odometry record; use those that have one.")
+    if set(map(len, rows)) != {signal.width}:
+        raise EstimationError("The wheel records are of changing length; each must have one number a wheel.")
+    return np.array([record.stamp for record in records]), np.concatenate(rows).reshape(-1, signal.width)

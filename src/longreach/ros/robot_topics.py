@@ -10,7 +10,7 @@ from longreach.geometry import se2
 from longreach.io import messages
 from longreach.io.bag_topics import JOINT_STATE, ODOMETRY
 from longreach.measurement import Odometry, Wheels, WheelSpeeds, WheelTicks
-from longreach.odometry.wheel import wheel_odometry
+from longreach.odometry import wheel
 from longreach.robot.description import RobotDescription
 from longreach.ros import wire
 from longreach.ros.sensors import topic_of
@@ -18,7 +18,6 @@ from longreach.sim.simulated import Simulated
 
 _POSE = "geometry_msgs/msg/PoseStamped"
 _TRUTH_PERIOD = 0.02  # [s]
-_REMEMBERED = 12  # wheel records that the next one is seen with
 
 
 class Topics:
@@ -40,7 +39,7 @@ class Topics:
             "imu": (imu, messages.imu),
             "wrenches": (wrench, messages.wrench),
         }
-        self._window: tuple[Wheels, ...] = ()
+        self._odometry_state = wheel.init(robot)
         self._pose, self._twist = np.zeros(3), np.zeros(3)
 
     def send(self, readings: Readings, offset: float) -> None:
@@ -73,9 +72,7 @@ class Topics:
 
     def _go_on(self, records: tuple[Wheels, ...]) -> None:
         """Add the wheels' steps to where they alone say that the base is."""
-        known = self._window[-1].stamp if self._window else -np.inf
-        window = (*self._window, *records)
-        for step in wheel_odometry(window, self._robot, None, known).measurements:
+        self._odometry_state, steps = wheel.step(self._odometry_state, records)
+        for step in steps:
             self._pose = se2.compose(self._pose, step.pose)
             self._twist = se2.log(step.pose) / (step.stamp - step.stamp_reference)
-        self._window = window[-_REMEMBERED:]

@@ -1,4 +1,4 @@
-"""Dead reckoning: a path out of relative poses alone."""
+"""Dead reckoning: a trajectory from relative poses alone."""
 
 from collections.abc import Sequence
 
@@ -7,26 +7,26 @@ from jaxtyping import Float
 
 from longreach.errors import EstimationError
 from longreach.measurement import RelativePoseMeasurement
-from longreach.odometry import _relative_kernels
+from longreach.odometry import _dead_reckoning_kernels
 from longreach.trajectory import PoseTrajectory
 
 
-def chain(
+def integrate(
     measurements: Sequence[RelativePoseMeasurement],
     stamps: Sequence[float] | Float[np.ndarray, " n"],
     start: Float[np.ndarray, "3"] | None = None,
 ) -> PoseTrajectory:
-    """Put relative poses one after the other: T ← T · Δ and Σ ← Ad(Δ⁻¹) Σ Ad(Δ⁻¹)ᵀ + Q.
+    """Compose relative poses: T ← T · Δ and Σ ← Ad(Δ⁻¹) Σ Ad(Δ⁻¹)ᵀ + Q.
 
-    A row that no measurement ends at keeps the pose and the covariance of the row before: a stamp that occurs twice, a
-    scan that gave no match, wheels whose counter broke.
+    A row at which no measurement ends keeps the pose and the covariance of the row before. Such rows are the second one
+    of two with the same stamp, a scan without a match, and the row after a break of the wheel odometry.
 
     Arguments:
         measurements: each from one of the stamps to a later one; at most one ends at a stamp.
         stamps: of the rows (n,) [s], never backwards.
-        start: pose of the first row [m, m, rad], known exactly; None is the identity.
+        start: pose of the first row (3,) [m, m, rad], known exactly; None is the identity.
 
-    Returns: n rows with the covariance of ξ = log(mean⁻¹ · truth).
+    Returns: n rows with the covariance (3, 3) of ξ = log(mean⁻¹ · truth) [m, m, rad].
 
     Raises:
         EstimationError: the stamps run backwards, or a measurement's are not among them.
@@ -46,12 +46,13 @@ def chain(
         Q[ends] = np.array([m.covariance for m in measurements])
     poses, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     poses[:1] = 0.0 if start is None else start
-    _relative_kernels.chain_all(reference, relative, Q, poses, covariance)
+    _dead_reckoning_kernels.integrate_all(reference, relative, Q, poses, covariance)
     return PoseTrajectory(clock, poses, covariance, clock)
 
 
 def _rows(clock: np.ndarray, stamps: Sequence[float]) -> np.ndarray:
-    rows = np.searchsorted(clock, np.array(stamps))  # the first of equal stamps; the others keep its pose
+    """Return the row of each stamp, the first one of equal stamps."""
+    rows = np.searchsorted(clock, np.array(stamps))
     known = rows < len(clock)
     known[known] = clock[rows[known]] == np.array(stamps)[known]
     if not known.all():
