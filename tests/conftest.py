@@ -10,6 +10,8 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
+pytest_plugins = ["second_try"]
+
 
 def _checked_modules() -> list[str]:
     """Every module but the compiled kernels, whose functions numba must see undecorated."""
@@ -43,10 +45,14 @@ def data() -> Path:
     return path
 
 
+# The tier of a whole folder. A test elsewhere has its marker itself, and a marker on a test goes before its folder's.
+TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave out what takes long, unless it is asked for."""
-    if os.environ.get("LONGREACH_LONG"):
-        return
+    """Give each test of a folder with a tier its marker, before pytest selects by markers."""
     for item in items:
-        if item.get_closest_marker("long"):
-            item.add_marker(pytest.mark.skip(reason="LONGREACH_LONG is not set"))
+        tier = TIERS.get(item.path.relative_to(Path(__file__).parent).parts[0])
+        if tier and not (item.get_closest_marker("system") or item.get_closest_marker("long")):
+            item.add_marker(tier)

@@ -26,6 +26,7 @@ def interrupted(tmp_path, moment):
     return process.returncode, words
 
 
+@pytest.mark.system
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_an_interrupt_while_results_are_written_leaves_none(tmp_path):
     code, words = interrupted(tmp_path, lambda: any(tmp_path.iterdir()))
