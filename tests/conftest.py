@@ -45,14 +45,12 @@ def data() -> Path:
     return path
 
 
-# The tier of a whole folder. A test elsewhere has its marker itself, and a marker on a test goes before its folder's.
-TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}
+TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}  # of whole folders
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give each test of a folder with a tier its marker, before pytest selects by markers."""
     for item in items:
-        tier = TIERS.get(item.path.relative_to(Path(__file__).parent).parts[0])
-        if tier and not (item.get_closest_marker("system") or item.get_closest_marker("long")):
+        if tier := TIERS.get(item.path.relative_to(Path(__file__).parent).parts[0]):
             item.add_marker(tier)

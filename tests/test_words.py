@@ -7,6 +7,7 @@ import io
 import re
 import token
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,7 @@ def words_of(text, is_python):
     return found
 
 
+@cache
 def still_there():
     """Of each file, its words that are to be replaced."""
     found = {name: words_of(path.read_text(encoding="utf-8"), path.suffix == ".py") for name, path in FILES.items()}
