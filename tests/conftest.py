@@ -5,10 +5,10 @@ import pkgutil
 from importlib.util import find_spec
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
 pytest_plugins = ["second_try"]
 
@@ -21,7 +21,7 @@ def _checked_modules() -> list[str]:
     return [name for name in names if not name.endswith("kernels")]
 
 
-install_import_hook(_checked_modules(), "beartype.beartype")
+jaxtyping.install_import_hook(_checked_modules(), "beartype.beartype")
 
 # No deadline, for the first call of a kernel compiles it; the same examples on every run.
 settings.register_profile("longreach", deadline=None, derandomize=True)
@@ -31,6 +31,12 @@ settings.load_profile("longreach")
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260101)
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shapes are not checked, as for a user: in whole runs the checks take nearly half of the time."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture(scope="session")
