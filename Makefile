@@ -3,20 +3,23 @@ BIN := .venv/bin
 # pyright runs as installed and does not look for newer versions of itself.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: demo test check clean
+.PHONY: demo test test-system test-long check clean
 
 demo: .venv/.installed
 	$(BIN)/longreach run dual-trajectory --out out/demo
 
-# Tests of several processes that keep time with each other have the machine for themselves, and a second try.
-TIMED := tests/live tests/ros tests/view
-
-# Kernels are compiled beforehand, once for all processes of the tests.
-# LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
+# What a newcomer needs to trust the install. Kernels are compiled by the tests that need them, once on a machine.
 test: .venv/.installed-dev
+	$(BIN)/pytest --numprocesses=auto
+
+# One process, because these tests keep time by the wall clock. A failed one is repeated once, and counted.
+test-system: .venv/.installed-dev
 	$(BIN)/longreach warmup
-	$(BIN)/pytest --numprocesses=auto $(addprefix --ignore=,$(TIMED))
-	$(BIN)/pytest $(TIMED) || $(BIN)/pytest --last-failed $(TIMED)
+	$(BIN)/pytest -m system
+
+# LONGREACH_DATA, where set, names the folder of real recordings that tests/real needs.
+test-long: .venv/.installed-dev
+	$(BIN)/pytest --numprocesses=auto --dist=loadfile -m long
 
 check: .venv/.installed-dev
 	$(BIN)/ruff check

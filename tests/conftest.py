@@ -5,10 +5,12 @@ import pkgutil
 from importlib.util import find_spec
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
+
+pytest_plugins = ["second_try"]
 
 
 def _checked_modules() -> list[str]:
@@ -19,7 +21,7 @@ def _checked_modules() -> list[str]:
     return [name for name in names if not name.endswith("kernels")]
 
 
-install_import_hook(_checked_modules(), "beartype.beartype")
+jaxtyping.install_import_hook(_checked_modules(), "beartype.beartype")
 
 # No deadline, for the first call of a kernel compiles it; the same examples on every run.
 settings.register_profile("longreach", deadline=None, derandomize=True)
@@ -29,6 +31,12 @@ settings.load_profile("longreach")
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260101)
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shapes are not checked, as for a user: in whole runs the checks take nearly half of the time."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture(scope="session")
@@ -43,10 +51,12 @@ def data() -> Path:
     return path
 
 
+TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}  # of whole folders
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave out what takes long, unless it is asked for."""
-    if os.environ.get("LONGREACH_LONG"):
-        return
+    """Give each test of a folder with a tier its marker, before pytest selects by markers."""
     for item in items:
-        if item.get_closest_marker("long"):
-            item.add_marker(pytest.mark.skip(reason="LONGREACH_LONG is not set"))
+        if tier := TIERS.get(item.path.relative_to(Path(__file__).parent).parts[0]):
+            item.add_marker(tier)

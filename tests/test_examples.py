@@ -13,6 +13,7 @@ def test_the_gallery_is_numbered_without_gaps():
     assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_says_something(path, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

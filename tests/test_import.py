@@ -40,13 +40,14 @@ def test_an_unknown_name_is_an_attribute_error():
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=NAMES)
-def test_files_stay_under_300_lines_and_functions_under_50(path):
+def test_files_have_at_most_500_lines_and_functions_80_and_those_of_kernels_700_and_120(path):
+    longest_file, longest_function = (700, 120) if path.stem.endswith("kernels") else (500, 80)
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) < 300
+    assert len(text.splitlines()) <= longest_file
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             length = node.end_lineno - node.lineno + 1
-            assert length < 50, f"{node.name} has {length} lines"
+            assert length <= longest_function, f"{node.name} has {length} lines"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=NAMES)

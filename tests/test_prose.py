@@ -21,6 +21,7 @@ def test_the_examples_in_docstrings_are_true(name):
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
 def test_the_python_in_the_documents_runs(path, tmp_path, monkeypatch):
     blocks = list(BLOCK.finditer(path.read_text(encoding="utf-8")))

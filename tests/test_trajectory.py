@@ -1,4 +1,3 @@
-import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -208,13 +207,7 @@ def test_the_arrays_are_copies_that_cannot_be_written(turn):
             array[0] = 1.0
 
 
-@pytest.fixture
-def unchecked(monkeypatch):
-    """Callers have no shape checks in front of ours."""
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-
-
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked")  # callers have no shape checks in front of ours
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

@@ -16,6 +16,8 @@ from longreach.odometry.wheel import WheelConfig
 from longreach.robot.description import Lidar, Mount, RobotDescription
 from longreach.trajectory import PoseTrajectory, monotone_clock
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # but the fixture `estimated` is checked
+
 IN_ONE_WORLD = EstimateConfig(evaluation=EvaluationConfig(align="none"))
 WHEELS_ALONE = IN_ONE_WORLD.model_copy(update={"sources": ("wheels",)})
 NAN = float("nan")

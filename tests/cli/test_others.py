@@ -98,6 +98,7 @@ def test_evaluate_refuses_in_one_sentence(run, tmp_path, truth):
         assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.system
 def test_warmup_says_where_the_kernels_are(run):
     answer = run("warmup")
     assert answer.code == 0, answer.err

@@ -47,6 +47,7 @@ def drawn(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_the_hand_is_where_the_robot_thinks_as_far_as_it_knows_where_it_is(drawn):
     metrics = json.loads((drawn / "metrics.json").read_text())
     assert list(metrics)[:2] == ["closed", "open"]
@@ -59,6 +60,7 @@ def test_the_hand_is_where_the_robot_thinks_as_far_as_it_knows_where_it_is(drawn
     assert {"fused.tum", "wheels.tum", "lidar.tum", "truth.tum", "recording.mcap", "recording_open.mcap"} <= names
 
 
+@pytest.mark.long
 def test_a_replay_of_its_recording_gives_the_estimate_that_the_robot_drove_by(drawn, run, tmp_path):
     assert json.loads((drawn / "metrics.json").read_text())["closed"]["replay_difference_max"]["value"] < 1e-6
     again = run("estimate", drawn / "recording.mcap", "--robot", "thing", "--out", tmp_path)

@@ -28,7 +28,6 @@ def _at(client):
     return client.robot.forward(client.state.q)
 
 
-@pytest.mark.long
 def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, served, to, thing):
     if not served.fresh:  # the test needs a robot that has stood since it was switched on
         served = serve().ready()

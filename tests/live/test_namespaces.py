@@ -31,7 +31,6 @@ def namespace():
     subprocess.run(["ip", "netns", "del", name], check=True)
 
 
-@pytest.mark.long
 def test_a_robot_whose_network_goes_down_stands_and_its_recording_is_whole(namespace, tmp_path):
     address, record, log = f"127.0.0.1:{free_port()}", tmp_path / "run.mcap", tmp_path / "log"
     inside = ["ip", "netns", "exec", namespace, sys.executable]

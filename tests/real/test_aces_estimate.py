@@ -6,8 +6,6 @@ from real.conftest import SCANS
 
 from longreach.evaluation.relations import summary
 
-pytestmark = pytest.mark.long
-
 
 @pytest.fixture(scope="module")
 def aces(estimated):

@@ -50,7 +50,6 @@ def test_hardly_any_measurement_is_refused(intel):
     assert len(intel.lidar_measurements) == SCANS - 1
 
 
-@pytest.mark.long
 def test_fixes_of_5_cm_every_5_s_hold_the_whole_run(held_by_fixes):
     fused = held_by_fixes.metrics["fused"]
     assert fused["pairs"]["value"] > 100

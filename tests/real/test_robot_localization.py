@@ -41,13 +41,13 @@ def last(recording, settings):
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-@pytest.mark.parametrize("as_is", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("as_is", [True, False])
 def test_the_last_position_is_that_of_robot_localization(husky, settings, kind, as_is):
     found = last(husky, settings(filter=kind, as_robot_localization=as_is))
     assert np.linalg.norm(found - LAST[kind]) < BAR[kind]
 
 
-@pytest.mark.parametrize("as_is", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("as_is", [True, False])
 def test_messages_up_to_200_ms_late_change_nothing(husky, settings, rng, as_is):
     late = np.array([reading.stamp for reading in husky.readings]) + rng.uniform(0.0, 0.2, len(husky.readings))
     shuffled = type(husky)(
