@@ -17,7 +17,7 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
-from longreach.app.guides import counter_events, guided_odometry, lidar_events, wheel_guides
+from longreach.app.guides import wheel_events, guided_odometry, lidar_events, wheel_guides
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
@@ -34,6 +34,7 @@ from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
+_FILTERED = ("fused", "localized", "smoothed")
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -48,7 +49,9 @@ class Estimate:
 
     @property
     def trajectories(self) -> Mapping[str, PoseTrajectory]:
-        """`fused`, and as far as there are such sensors `wheels` (raw integration), `lidar` (LIDAR alone), `truth`."""
+        """`fused` (frame odom), with fixes `localized` (frame map), and as far as there are such sensors `wheels` (raw
+        integration), `lidar` (LIDAR alone), `truth`.
+        """
         return self.evaluation.trajectories
 
     @property
@@ -78,7 +81,7 @@ def estimate(
 ) -> Estimate:
     """Estimate where the base went, and how well that agrees with the truth where there is one.
 
-    The truth is used for evaluation alone. Estimates start at the identity, or where absolute fixes put them.
+    The truth is used for evaluation alone. Estimates start at the identity; `localized` is where absolute fixes put it.
 
     Arguments:
         config: None takes the defaults. truth: None takes the recording's own, where it has one.
@@ -100,20 +103,22 @@ def estimate(
         "wheels": chain(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
-    odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}
+    odometry = {"wheels": wheel_events(wheels.measurements), "lidar": lidar_events(matches)}
     events = _events(recording, robot, sources, odometry)
     start = _start(recording, sources, dead_reckoning, events[0].stamp, config)
-    state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
-
-    back = {"smoothed": _at_rows(smooth(start, events), recording)} if config.smooth else {}
+    run = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
+    estimated = {"fused": run.fused} | ({} if run.localized is None else {"localized": run.localized})
+    if config.smooth:
+        estimated["smoothed"] = smooth(start, events)
 
     tell("evaluation", 0.0)
-    trajectories = _as_recorded({"fused": _at_rows(fused, recording), **back, **dead_reckoning}, recording)
+    rows = {name: _at_rows(path, recording) for name, path in estimated.items()}
+    trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, corrections, _found(matches))
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
+    metrics = _with_consistency(evaluation, run.corrections, _found(matches))
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, run.state), *evaluation.remarks)
     return Estimate(
-        recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
+        recording, robot, config, matches, run.corrections, replace(evaluation, metrics=metrics, remarks=remarks)
     )
 
 
@@ -124,10 +129,10 @@ def _start(
     begin: float,
     config: EstimateConfig,
 ) -> fusion.FusionState:
-    """Return the filter at its start [s], where fixes put it if there are any."""
+    """Return the filter at its start [s]: the identity in odom, and in the map where fixes put it if there are any."""
     fixes = recording.fixes if "fixes" in sources else ()
-    pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
-    return fusion.init(begin, pose, covariance, config.filter)
+    in_map = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
+    return fusion.init(begin, np.zeros(3), None, config.filter, in_map)
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -221,10 +226,11 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
 def _with_consistency(
     evaluation: Evaluation, corrections: Sequence[Correction], matches: Sequence[RelativePoseMeasurement]
 ) -> Metrics:
-    """Add the NIS of each source to the fused metrics, and the NEES of single matches to those of the LIDAR."""
+    """Add the NIS of each source to the metrics of what it corrects, and the NEES of single matches to those of the LIDAR."""
     metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
     for source, consistency in innovations(corrections).items():
-        metrics.setdefault("fused", {}).update(consistency_metrics(f"nis_{source}", consistency))
+        name = "localized" if source == "fixes" else "fused"
+        metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
     truth = evaluation.trajectories.get("truth")
     if matches and truth is not None and truth.has_heading:
         metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
@@ -245,8 +251,8 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     """Give the paths that there are the stamps as recorded, in the order of all tables."""
     return {
         name: PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
-        for name, path in ((name, paths[name]) for name in ("fused", "smoothed", "wheels", "lidar") if name in paths)
-        if name in ("fused", "smoothed") or len(path) > 1
+        for name, path in ((name, paths[name]) for name in (*_FILTERED, "wheels", "lidar") if name in paths)
+        if name in _FILTERED or len(path) > 1
     }
 
 

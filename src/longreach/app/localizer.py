@@ -6,14 +6,14 @@ given out, once it is older than the filter's history, when nothing that comes l
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
-from longreach.app.guides import Trust, counter_events, guided_step, match_events, wheel_guide
+from longreach.app.guides import Trust, wheel_events, guided_step, match_events, wheel_guide
 from longreach.control.hardware import Readings
 from longreach.estimation import fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
@@ -45,7 +45,7 @@ class LocalizerState:
     """What the sources and the filter remember.
 
     trust, match: in the wheels as a guide of the LIDAR, and the last scan's match. steps: the last of the wheels, for
-    the scans that are to come. carried_to: the reading up to which a counter carries its anchor [s].
+    the scans that are to come. carried_to: the reading up to which the wheels' pose clone is carried [s].
     """
 
     robot: RobotDescription
@@ -61,8 +61,12 @@ class LocalizerState:
     carried_to: float = -np.inf
 
     def belief(self, now: float) -> Belief:
-        """Return what is believed at `now` [s], predicted from the newest measurement."""
+        """Return what is believed at `now` [s], predicted from the newest measurement, in the smooth frame odom."""
         return self.filter.belief_at(now)
+
+    def localized(self, now: float) -> Belief:
+        """Return what is believed at `now` [s] with the pose on the map, where fixes put it; without any, `belief`."""
+        return self.filter.at(now).belief_in("map")
 
 
 def init(
@@ -70,17 +74,19 @@ def init(
     stamp: float,
     pose: Float[np.ndarray, "3"],
     config: EstimateConfig | None = None,
-    pose_covariance: Float[np.ndarray, "3 3"] | None = None,
+    in_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
 ) -> LocalizerState:
-    """Start at rest at a pose [m, m, rad]; without its covariance it is exact, as a run defines its own frame."""
+    """Start at rest at a pose [m, m, rad] in the frame odom, which a run defines; in_map: where it is on the map."""
     config = config or EstimateConfig()
     chosen = filter_for(config, robot, _NOTHING)
     gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
-    led = {} if "led_by_counter" in config.filter.model_fields_set else {"led_by_counter": (True, True, not gyro)}
-    chosen = chosen.model_copy(update={"history": _HISTORY, **led})
+    set_ = "coupled_to_wheels" in config.filter.model_fields_set
+    coupled = {} if set_ else {"coupled_to_wheels": (True, True, not gyro)}
+    chosen = chosen.model_copy(update={"history": _HISTORY, **coupled})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
     T_base_imu = sensor_mount(_NOTHING, robot, "imu")
-    return LocalizerState(robot, config, fusion.init(stamp, pose, pose_covariance, chosen), stamp, matcher, T_base_imu)
+    start = fusion.init(stamp, pose, None, chosen, in_map)
+    return LocalizerState(robot, config, start, stamp, matcher, T_base_imu)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -111,24 +117,26 @@ def step(
     return replace(state, filter=fused), corrections
 
 
-def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
+def settled(
+    before: LocalizerState, after: LocalizerState | None, frame: Literal["odom", "map"] = "odom"
+) -> list[Row]:
     """Return the rows that a step has settled, oldest first; after it has ended (None), all that are left."""
     oldest = np.inf if after is None else after.filter.history[0].key[0]
     rows: dict[float, Row] = {}
     for snapshot in before.filter.history:
         stamp = snapshot.key[0]
         if stamp < oldest and snapshot.event is not None:
-            rows[stamp] = Row(stamp, snapshot.mean[:3], snapshot.P[:3, :3].copy())
+            rows[stamp] = Row(stamp, *snapshot.pose_in(frame))
     return list(rows.values())
 
 
 def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[LocalizerState, list[Event]]:
-    """Turn new wheel records into steps of their counter, each seen with the records before it."""
+    """Turn new wheel records into steps of wheel odometry, each seen with the records before it."""
     known = state.wheels[-1].stamp if state.wheels else -np.inf
     window = (*state.wheels, *(record for record in records if record.stamp > known))
     found = wheel_odometry(window, state.robot, state.config.wheels, known).measurements
     new = tuple(step for step in found if step.stamp_reference >= state.start)
-    events = counter_events(new, state.carried_to)
+    events = wheel_events(new, state.carried_to)
     carried_to = state.carried_to
     if new:
         carried_to = -np.inf if new[-1].reading_covariance is None else new[-1].stamp

@@ -1,7 +1,9 @@
 """Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
-Layout of the mean (13 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, scale error of the counter in x y
-θ, then m anchors x y θ. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth).
+Layout of the mean (13 + 3f + 3m,): the base's pose x y θ seen from the local reference, body twist, body acceleration,
+gyro bias, scale errors of the wheels in x y θ; then f frames x y θ, poses of the reference in odom and in map; then m
+pose clones x y θ, seen from the reference. P has the same layout over the errors; that of a pose is
+ξ = log(mean⁻¹ · truth).
 """
 
 import math
@@ -12,8 +14,9 @@ from longreach.estimation._cholesky_kernels import cholesky, solve
 from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
-BODY = 13  # error states before the anchors
-SCALE = 10  # the first of the counter's scale errors
+BODY = 13  # error states before the frames
+SCALE = 10  # the first of the wheels' scale errors
+MAP = 16  # where the second frame is, map; the first is odom
 
 
 @kernel
@@ -228,10 +231,36 @@ def _joseph(P, K, H, R, scale):
 
 
 @kernel
-def correct(mean, P, r, H, R, gate, inflate):
+def _keep_reference(K, frames):
+    """No gain for the frames: what is measured relative to the reference does not move the reference."""
+    for i in range(BODY, BODY + 3 * frames):
+        K[i] = 0.0
+
+
+@kernel
+def _only_map(mean, K):
+    """All gain for the frame map, by as much as moves the base's pose there as its own gain would.
+
+    G X with the gains K_G and K_X: Ad(X⁻¹) (K_G + Ad(X) K_X) = Ad(X⁻¹) K_G + K_X.
+    """
+    A, gain = np.empty((3, 3)), np.zeros((3, K.shape[1]))
+    se2_adjoint(mean[0], mean[1], mean[2], A)
+    for a in range(3):
+        for k in range(K.shape[1]):
+            gain[a, k] = K[MAP + a, k]
+            for b in range(3):
+                gain[a, k] += A[a, b] * K[b, k]
+    K[:] = 0.0
+    K[MAP : MAP + 3] = gain
+
+
+@kernel
+def correct(mean, P, r, H, R, gate, inflate, frames, of_map):
     """Take one innovation r (k,): the new mean, the new P, NIS and the scale put on R (0: not taken).
 
+    frames: how many there are that are considered in P and not corrected (Schmidt); of_map: only map is corrected.
     NIS is infinite where its covariance is not positive definite or the result would not be finite.
+    Source: Schmidt 1966, "Application of state-space methods to navigation problems".
     """
     n, k = len(mean), len(r)
     PHt, A = _innovation_parts(P, H)
@@ -247,6 +276,11 @@ def correct(mean, P, r, H, R, gate, inflate):
     K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
     for i in range(n):  # (3.29c)
         solve(L, PHt[i], K[i])
+    if of_map:
+        _only_map(mean, K)
+    else:
+        _keep_reference(K, frames)
+    for i in range(n):
         for a in range(k):
             dx[i] += K[i, a] * r[a]
     moved = retract(mean, dx, G)  # (3.29a)
