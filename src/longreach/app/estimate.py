@@ -105,9 +105,15 @@ def estimate(
 
     odometry = {"wheels": wheel_events(wheels.measurements), "lidar": lidar_events(matches)}
     events = _events(recording, robot, sources, odometry)
-    start = _start(recording, sources, dead_reckoning, events[0].stamp, config)
-    run = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
-    estimated = {"fused": run.fused} | ({} if run.localized is None else {"localized": run.localized})
+    start = fusion.init(events[0].stamp, np.zeros(3), None, config.filter)
+    state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
+    estimated, judged, tallies = {"fused": fused}, {"fused": corrections}, state.counters
+    if "fixes" in sources:  # by a filter of its own, so that no fix moves the smooth path
+        start, events = _with_fixes(recording, sources, dead_reckoning, events, config)
+        state, estimated["localized"], all_ = offline.run(start, events, lambda i: tell("fusion", i / len(events)))
+        names = {fix.source for fix in recording.fixes}
+        judged["localized"] = [correction for correction in all_ if correction.source in names]
+        tallies |= {name: state.counters[name] for name in names}
     if config.smooth:
         estimated["smoothed"] = smooth(start, events)
 
@@ -115,24 +121,25 @@ def estimate(
     rows = {name: _at_rows(path, recording) for name, path in estimated.items()}
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, run.corrections, _found(matches))
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, run.state), *evaluation.remarks)
+    metrics = _with_consistency(evaluation, judged, _found(matches))
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, tallies), *evaluation.remarks)
     return Estimate(
-        recording, robot, config, matches, run.corrections, replace(evaluation, metrics=metrics, remarks=remarks)
+        recording, robot, config, matches, [c for some in judged.values() for c in some], replace(evaluation, metrics=metrics, remarks=remarks)
     )
 
 
-def _start(
+def _with_fixes(
     recording: Recording,
     sources: Sequence[Source],
     dead_reckoning: Mapping[str, PoseTrajectory],
-    begin: float,
+    events: Sequence[Event],
     config: EstimateConfig,
-) -> fusion.FusionState:
-    """Return the filter at its start [s]: the identity in odom, and in the map where fixes put it if there are any."""
-    fixes = recording.fixes if "fixes" in sources else ()
-    in_map = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
-    return fusion.init(begin, np.zeros(3), None, config.filter, in_map)
+) -> tuple[fusion.FusionState, list[Event]]:
+    """Return a filter that starts on the map, where fixes put it, and the events with them."""
+    events = fusion.in_order([*events, *recording.fixes])
+    begin = events[0].stamp
+    paths = [path for name, path in dead_reckoning.items() if name in sources]
+    return fusion.init(begin, *start_pose(recording.fixes, paths, begin), config.filter), events
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -200,8 +207,6 @@ def _events(
     events: list[Event] = []
     if "imu" in sources:
         events += _imu(recording, robot)
-    if "fixes" in sources:
-        events += recording.fixes
     for source in sources:
         events += odometry.get(source, ())
     if not events:
@@ -224,13 +229,15 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
 
 
 def _with_consistency(
-    evaluation: Evaluation, corrections: Sequence[Correction], matches: Sequence[RelativePoseMeasurement]
+    evaluation: Evaluation,
+    judged: Mapping[str, Sequence[Correction]],
+    matches: Sequence[RelativePoseMeasurement],
 ) -> Metrics:
-    """Add the NIS of each source to the metrics of what it corrects, and the NEES of single matches to those of the LIDAR."""
+    """Add the NIS of each source to the metrics of what it corrects, and the NEES of matches to those of the LIDAR."""
     metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
-    for source, consistency in innovations(corrections).items():
-        name = "localized" if source == "fixes" else "fused"
-        metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
+    for name, corrections in judged.items():
+        for source, consistency in innovations(corrections).items():
+            metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
     truth = evaluation.trajectories.get("truth")
     if matches and truth is not None and truth.has_heading:
         metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
@@ -256,14 +263,14 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, matches: Sequence[ScanMatch], state: fusion.FusionState) -> list[str]:
+def _remarks(breaks: int, matches: Sequence[ScanMatch], tallies: Mapping[str, fusion.Tally]) -> list[str]:
     remarks = []
     if breaks:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
     failed = [match for match in matches if match.measurement is None]
     if failed:
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
-    for source, tally in state.counters.items():
+    for source, tally in tallies.items():
         if tally.gated or tally.refused or tally.inflated:
             total = tally.used + tally.gated + tally.refused
             remarks.append(

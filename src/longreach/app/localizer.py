@@ -6,7 +6,7 @@ given out, once it is older than the filter's history, when nothing that comes l
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -42,8 +42,9 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizerState:
-    """What the sources and the filter remember.
+    """What the sources and the filters remember.
 
+    filter: in the frame odom, which no fix moves. localized: with the fixes as well, in the frame map; None: no fixes.
     trust, match: in the wheels as a guide of the LIDAR, and the last scan's match. steps: the last of the wheels, for
     the scans that are to come. carried_to: the reading up to which the wheels' pose clone is carried [s].
     """
@@ -54,6 +55,7 @@ class LocalizerState:
     start: float
     lidar: LidarState
     T_base_imu: Float[np.ndarray, "4 4"]
+    localized: FusionState | None = None
     trust: Trust = _UNTRIED
     match: ScanMatch | None = None
     wheels: tuple[Wheels, ...] = ()
@@ -64,9 +66,9 @@ class LocalizerState:
         """Return what is believed at `now` [s], predicted from the newest measurement, in the smooth frame odom."""
         return self.filter.belief_at(now)
 
-    def localized(self, now: float) -> Belief:
-        """Return what is believed at `now` [s] with the pose on the map, where fixes put it; without any, `belief`."""
-        return self.filter.at(now).belief_in("map")
+    def belief_on_map(self, now: float) -> Belief:
+        """Return what is believed at `now` [s] with the pose in the frame map; without fixes it is odom."""
+        return (self.localized or self.filter).belief_at(now)
 
 
 def init(
@@ -74,9 +76,12 @@ def init(
     stamp: float,
     pose: Float[np.ndarray, "3"],
     config: EstimateConfig | None = None,
-    in_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
+    on_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
 ) -> LocalizerState:
-    """Start at rest at a pose [m, m, rad] in the frame odom, which a run defines; in_map: where it is on the map."""
+    """Start at rest at a pose [m, m, rad] in the frame odom, which a run defines; it is exact there.
+
+    on_map: pose and covariance in the frame map, where something tells them: from then on it is told from odom.
+    """
     config = config or EstimateConfig()
     chosen = filter_for(config, robot, _NOTHING)
     gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
@@ -85,8 +90,9 @@ def init(
     chosen = chosen.model_copy(update={"history": _HISTORY, **coupled})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
     T_base_imu = sensor_mount(_NOTHING, robot, "imu")
-    start = fusion.init(stamp, pose, None, chosen, in_map)
-    return LocalizerState(robot, config, start, stamp, matcher, T_base_imu)
+    start = fusion.init(stamp, pose, None, chosen)
+    localized = None if on_map is None else fusion.init(stamp, *on_map, chosen)
+    return LocalizerState(robot, config, start, stamp, matcher, T_base_imu, localized)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -101,7 +107,7 @@ def step(
 ) -> tuple[LocalizerState, list[Correction]]:
     """Take all that was read, and absolute poses; what no source can use is refused by the filter, which says so."""
     sources = state.config.sources or ("wheels", "lidar", "imu", "fixes")
-    events: list[Event] = list(fixes) if "fixes" in sources else []
+    fixes, events = fixes if "fixes" in sources else (), list[Event]()
     if "imu" in sources and state.robot.imu is not None and readings.imu:
         noise = state.robot.imu
         R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
@@ -114,19 +120,32 @@ def step(
             state, measured = _lidar(state, scan)
             events += measured
     fused, corrections = fusion.steps(state.filter, events)
-    return replace(state, filter=fused), corrections
+    localized = state.localized or (state.filter if fixes else None)  # until the first fix, map is odom
+    if localized is not None:
+        localized, judged = fusion.steps(localized, [*events, *fixes])
+        names = {fix.source for fix in fixes}
+        corrections += [correction for correction in judged if correction.source in names]
+    return replace(state, filter=fused, localized=localized), corrections
 
 
-def settled(
-    before: LocalizerState, after: LocalizerState | None, frame: Literal["odom", "map"] = "odom"
-) -> list[Row]:
-    """Return the rows that a step has settled, oldest first; after it has ended (None), all that are left."""
-    oldest = np.inf if after is None else after.filter.history[0].key[0]
+def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
+    """Return the rows, in the frame odom, that a step has settled, oldest first; after it has ended (None), all left."""
+    return _settled(before.filter, None if after is None else after.filter)
+
+
+def settled_on_map(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
+    """Return `settled` in the frame map; without fixes it is odom."""
+    newest = None if after is None else after.localized or after.filter
+    return _settled(before.localized or before.filter, newest)
+
+
+def _settled(before: FusionState, after: FusionState | None) -> list[Row]:
+    oldest = np.inf if after is None else after.history[0].key[0]
     rows: dict[float, Row] = {}
-    for snapshot in before.filter.history:
+    for snapshot in before.history:
         stamp = snapshot.key[0]
         if stamp < oldest and snapshot.event is not None:
-            rows[stamp] = Row(stamp, *snapshot.pose_in(frame))
+            rows[stamp] = Row(stamp, *snapshot.pose)
     return list(rows.values())
 
 

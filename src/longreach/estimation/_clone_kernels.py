@@ -1,4 +1,4 @@
-"""Compiled pose clones and frames: cloning, wheel odometry's steps, and the change of the local reference.
+"""Compiled pose clones: cloning, wheel odometry's steps, and the change of the local reference.
 
 Layout of the mean and of P: see `_kernels`.
 """
@@ -7,14 +7,14 @@ import math
 
 import numpy as np
 
-from longreach.estimation._kernels import BODY, SCALE, congruence
+from longreach.estimation._kernels import REFERENCE, SCALE, congruence
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log, se2_right_jacobian
 from longreach.kernels import kernel
 
 
 @kernel
 def carry(mean, P, i, pose, Q, coupled, variance, reach):
-    """Move the clone at i by a pose (3,) seen from it, stretched by 1 + s, whose error has covariance Q.
+    """Move the pose clone at i by a pose (3,) seen from it, stretched by 1 + s, whose error has covariance Q.
 
     coupled (3,): axes (1: yes, 0: no) in which the step's error is the error of the present pose as well. s, the scale
     errors of the wheels, fade over `reach` and stay at the variance (3,) that they have when nothing is known.
@@ -73,53 +73,49 @@ def clone(mean, P, i):
 
 
 @kernel
-def rebase(mean, P, frames):
+def rebase(mean, P):
     """Make the base's present pose X the reference; returns the mean, P, and how errors before are errors after.
 
-    The pose becomes the identity with no error at all. A clone Y becomes X⁻¹Y, its error η - Ad((X⁻¹Y)⁻¹) ξ; a frame
-    G, the first of the poses behind the body, becomes G X, its error Ad(X⁻¹) γ + ξ.
+    The pose becomes the identity with no error at all. A clone Y becomes X⁻¹Y, its error η - Ad((X⁻¹Y)⁻¹) ξ; the
+    reference's pose G becomes G X, its error Ad(X⁻¹) γ + ξ.
     """
-    n = len(mean)
+    n, g = len(mean), REFERENCE
     new, M, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
     for a in range(3, n):
         M[a, a] = 1.0
-    new[:3] = 0.0
     X = (mean[0], mean[1], mean[2])
-    for i in range(BODY, n, 3):
-        if i < BODY + 3 * frames:
-            x, y, t = se2_between(X[0], X[1], X[2], 0.0, 0.0, 0.0)
-            se2_adjoint(x, y, t, M[i : i + 3, i : i + 3])
-            new[i], new[i + 1], new[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], X[0], X[1], X[2])
-            for a in range(3):
-                M[i + a, a] = 1.0
-        else:
-            new[i], new[i + 1], new[i + 2] = se2_between(X[0], X[1], X[2], mean[i], mean[i + 1], mean[i + 2])
-            x, y, t = se2_between(new[i], new[i + 1], new[i + 2], 0.0, 0.0, 0.0)
-            se2_adjoint(x, y, t, A)
-            for a in range(3):
-                for b in range(3):
-                    M[i + a, b] = -A[a, b]
+    new[:3] = 0.0
+    new[g], new[g + 1], new[g + 2] = se2_compose(mean[g], mean[g + 1], mean[g + 2], X[0], X[1], X[2])
+    x, y, t = se2_between(X[0], X[1], X[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, M[g : g + 3, g : g + 3])
+    for a in range(3):
+        M[g + a, a] = 1.0
+    for i in range(g + 3, n, 3):
+        new[i], new[i + 1], new[i + 2] = se2_between(X[0], X[1], X[2], mean[i], mean[i + 1], mean[i + 2])
+        x, y, t = se2_between(new[i], new[i + 1], new[i + 2], 0.0, 0.0, 0.0)
+        se2_adjoint(x, y, t, A)
+        for a in range(3):
+            for b in range(3):
+                M[i + a, b] = -A[a, b]
     return new, congruence(M, P), M
 
 
 @kernel
-def compound(mean, P, i):
-    """The base's pose in the frame at i, and the covariance (10, 10) of its error and those of the rest of the body.
-
-    The error of G X is Ad(X⁻¹) γ + ξ.
-    """
+def compound(mean, P):
+    """The base's pose G X in the world, and the covariance (10, 10) of its error Ad(X⁻¹) γ + ξ and the body's others."""
+    g = REFERENCE
     pose, covariance, A = np.empty(3), np.empty((10, 10)), np.empty((3, 3))
-    pose[0], pose[1], pose[2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], mean[0], mean[1], mean[2])
+    pose[0], pose[1], pose[2] = se2_compose(mean[g], mean[g + 1], mean[g + 2], mean[0], mean[1], mean[2])
     x, y, t = se2_between(mean[0], mean[1], mean[2], 0.0, 0.0, 0.0)
     se2_adjoint(x, y, t, A)
-    half = np.empty((10, 13))  # of the errors after, with the body's before and the frame's
+    half = np.empty((10, 13))  # of the errors after, with the body's before and the reference's
     for b in range(13):
-        column = b if b < 10 else i + b - 10
+        column = b if b < 10 else g + b - 10
         for a in range(10):
             half[a, b] = P[a, column]
             if a < 3:
                 for c in range(3):
-                    half[a, b] += A[a, c] * P[i + c, column]
+                    half[a, b] += A[a, c] * P[g + c, column]
     for a in range(10):
         for b in range(10):
             covariance[a, b] = half[a, b]

@@ -1,9 +1,8 @@
 """Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
-Layout of the mean (13 + 3f + 3m,): the base's pose x y θ seen from the local reference, body twist, body acceleration,
-gyro bias, scale errors of the wheels in x y θ; then f frames x y θ, poses of the reference in odom and in map; then m
-pose clones x y θ, seen from the reference. P has the same layout over the errors; that of a pose is
-ξ = log(mean⁻¹ · truth).
+Layout of the mean (16 + 3m,): the base's pose x y θ seen from the local reference, body twist, body acceleration, gyro
+bias, scale errors of the wheels in x y θ, the pose of the reference in the world; then m pose clones x y θ, seen from
+the reference. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth).
 """
 
 import math
@@ -14,9 +13,10 @@ from longreach.estimation._cholesky_kernels import cholesky, solve
 from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
-BODY = 13  # error states before the frames
+BODY = 13  # error states before the poses beside the base's
 SCALE = 10  # the first of the wheels' scale errors
-MAP = 16  # where the second frame is, map; the first is odom
+BIASES = 9  # of the gyro, then of the wheels
+REFERENCE = 13  # its pose
 
 
 @kernel
@@ -231,34 +231,31 @@ def _joseph(P, K, H, R, scale):
 
 
 @kernel
-def _keep_reference(K, frames):
-    """No gain for the frames: what is measured relative to the reference does not move the reference."""
-    for i in range(BODY, BODY + 3 * frames):
-        K[i] = 0.0
+def _restrict(mean, K, gain):
+    """Leave the gain K (n, k) to what a measurement may correct.
 
-
-@kernel
-def _only_map(mean, K):
-    """All gain for the frame map, by as much as moves the base's pose there as its own gain would.
-
-    G X with the gains K_G and K_X: Ad(X⁻¹) (K_G + Ad(X) K_X) = Ad(X⁻¹) K_G + K_X.
+    1, of the local state: all but the reference's pose G. 2, of a fix: the biases of the sensors, and G, by as much as
+    moves the base's pose G X as the gains of G and X would: K_G + Ad(X) K_X, for the error of G X is Ad(X⁻¹) γ + ξ.
     """
-    A, gain = np.empty((3, 3)), np.zeros((3, K.shape[1]))
-    se2_adjoint(mean[0], mean[1], mean[2], A)
-    for a in range(3):
-        for k in range(K.shape[1]):
-            gain[a, k] = K[MAP + a, k]
-            for b in range(3):
-                gain[a, k] += A[a, b] * K[b, k]
-    K[:] = 0.0
-    K[MAP : MAP + 3] = gain
+    k, g = K.shape[1], REFERENCE
+    if gain == 1:
+        K[g : g + 3] = 0.0
+    elif gain == 2:
+        A = np.empty((3, 3))
+        se2_adjoint(mean[0], mean[1], mean[2], A)
+        for a in range(3):
+            for b in range(k):
+                for c in range(3):
+                    K[g + a, b] += A[a, c] * K[c, b]
+        K[:BIASES] = 0.0
+        K[g + 3 :] = 0.0
 
 
 @kernel
-def correct(mean, P, r, H, R, gate, inflate, frames, of_map):
+def correct(mean, P, r, H, R, gate, inflate, gain):
     """Take one innovation r (k,): the new mean, the new P, NIS and the scale put on R (0: not taken).
 
-    frames: how many there are that are considered in P and not corrected (Schmidt); of_map: only map is corrected.
+    gain: what is corrected, 0: all, 1 and 2: see `_restrict`; the rest is considered in P (Schmidt).
     NIS is infinite where its covariance is not positive definite or the result would not be finite.
     Source: Schmidt 1966, "Application of state-space methods to navigation problems".
     """
@@ -276,10 +273,7 @@ def correct(mean, P, r, H, R, gate, inflate, frames, of_map):
     K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
     for i in range(n):  # (3.29c)
         solve(L, PHt[i], K[i])
-    if of_map:
-        _only_map(mean, K)
-    else:
-        _keep_reference(K, frames)
+    _restrict(mean, K, gain)
     for i in range(n):
         for a in range(k):
             dx[i] += K[i, a] * r[a]

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from longreach.estimation._kernels import REFERENCE
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log, wrap
 from longreach.kernels import kernel
 
@@ -43,15 +44,13 @@ def observe_twist(mean, z, R):
 
 
 @kernel
-def observe_pose(mean, z, R, frame):
-    """Innovation z - G X in the world's axes, G the frame at `frame` in the mean (0: the identity).
+def observe_pose(mean, z, R):
+    """Innovation z - G X in the world's axes, G the reference's pose.
 
     With the heading measured, linearised where it vanishes: at G X · exp(d).
     """
-    H, B = np.zeros((3, len(mean))), np.zeros((3, 3))
-    x, y, t = mean[0], mean[1], mean[2]
-    if frame > 0:
-        x, y, t = se2_compose(mean[frame], mean[frame + 1], mean[frame + 2], x, y, t)
+    H, A, B, g = np.zeros((3, len(mean))), np.empty((3, 3)), np.zeros((3, 3)), REFERENCE
+    x, y, t = se2_compose(mean[g], mean[g + 1], mean[g + 2], mean[0], mean[1], mean[2])
     whole = R[0, 0] != np.inf and R[1, 1] != np.inf and R[2, 2] != np.inf
     if whole:
         c, s = math.cos(z[2]), math.sin(z[2])
@@ -68,15 +67,13 @@ def observe_pose(mean, z, R, frame):
         z[0] -= x
         z[1] -= y
         z[2] = wrap(z[2] - t)
-    H[:, :3] = B
-    if frame > 0:
-        A = np.empty((3, 3))
-        x, y, t = se2_between(mean[0], mean[1], mean[2], 0.0, 0.0, 0.0)
-        se2_adjoint(x, y, t, A)
-        for i in range(3):
-            for j in range(3):
-                for l in range(3):
-                    H[i, frame + j] += B[i, l] * A[l, j]
+    x, y, t = se2_between(mean[0], mean[1], mean[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, A)
+    for i in range(3):
+        for j in range(3):
+            H[i, j] = B[i, j]
+            for l in range(3):
+                H[i, g + j] += B[i, l] * A[l, j]
     if whole:
         return z, H, R
     return _select_rows(z, H, R)

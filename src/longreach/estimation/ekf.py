@@ -1,14 +1,16 @@
 """The steps of the extended Kalman filter (3.28), (3.29) on plain arrays; `fusion` puts measurements in order.
 
-The mean (13 + 3f + 3m,) is the base's pose relative to the local reference, twist, acceleration, gyro bias, the wheels'
-scale errors; f frames, in which the reference has a pose: odom, and map where there are fixes; and m pose clones: past
-poses, relative to the reference too, so that a pose measured relative to one of them is judged with the right
-correlation (stochastic cloning: Roumeliotis & Burdick 2002).
+The mean (16 + 3m,) is the base's pose relative to the local reference, twist, acceleration, gyro bias, the wheels'
+scale errors; the pose of the reference in the world (odom or map); and m pose clones: past poses, relative to the
+reference too, so that a pose measured relative to one of them is judged with the right correlation (stochastic cloning:
+Roumeliotis & Burdick 2002).
 
-All that is fused is relative or in the body's frame, except fixes. So the reference is never corrected: the frames are
-considered in P and have no gain (Schmidt 1966). `rebase` makes the present pose the reference, and only there the
-frames take over what the pose is wrong by. Whatever is done to the covariance of the local state, it cannot become
-information about the pose of the reference.
+Wheels, LIDAR and IMU measure relative poses, or in the body's frame. So they do not correct the reference: its pose is
+considered in P and has no gain (Schmidt 1966). `rebase` makes the present pose the reference, and only there the
+reference takes over what the pose is wrong by. Whatever is done to the covariance of the local state, which is that of
+a few seconds, it cannot become information about where the reference is. A fix corrects the reference and the biases of
+gyro and wheels, which a long way shows better than a short one; what is local it leaves alone: that the way since the
+last keyframe agrees with the scans is not to be given up for a fix of some centimetres.
 
 Ours differs from (3.29) in what a pose needs: corrections are put on by X · exp(ξ), after which P is carried to the
 frame of the new mean by Ad(exp(-ξ)); P is corrected in Joseph's form, which holds for any gain and which rounding
@@ -16,7 +18,7 @@ cannot make indefinite.
 """
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,7 +26,9 @@ from jaxtyping import Float, Int
 from longreach.estimation import _clone_kernels, _kernels
 from longreach.estimation.motion import MotionModel, WheelModel
 
-BODY, SCALE, ODOM, MAP = _kernels.BODY, _kernels.SCALE, _kernels.BODY, _kernels.MAP
+SCALE, REFERENCE = _kernels.SCALE, _kernels.REFERENCE
+CLONES = REFERENCE + 3  # where the pose clones begin
+_GAINS = {"all": 0, "local": 1, "fix": 2}
 
 Mean = Float[np.ndarray, " n"]
 Covariance = Float[np.ndarray, "n n"]
@@ -71,16 +75,15 @@ def correct(
     R: Float[np.ndarray, "k k"],
     gate: float = math.inf,
     inflate: bool = False,
-    frames: int = 0,
-    of_map: bool = False,
+    gain: Literal["all", "local", "fix"] = "all",
 ) -> Corrected:
     """Correct by an innovation z - h(mean), (3.29), unless its NIS is above the gate.
 
     With `inflate`, one above the gate is taken with R scaled up until its NIS equals the gate, so that what it can
-    move is bounded: the treatment of a heavy tail. frames: how many of them are considered and not corrected.
-    of_map: the frame map alone is corrected, by as much as brings the base's pose in it where (3.29) would.
+    move is bounded: the treatment of a heavy tail. gain: what is corrected, the rest is considered
+    (Schmidt): "local", all but the pose of the reference; "fix", that pose and the biases of gyro and wheels.
     """
-    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate, frames, of_map)
+    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate, _GAINS[gain])
     return Corrected(*_read_only(new, covariance), nis, scale)
 
 
@@ -115,20 +118,15 @@ def moving_last(n: int, i: int) -> Int[np.ndarray, " m"]:
     return rows
 
 
-def adding_map(n: int) -> Int[np.ndarray, " m"]:
-    """Return the rows that add the frame map, which is odom as yet."""
-    return np.insert(np.arange(n), MAP, np.arange(ODOM, ODOM + 3))
-
-
-def rebase(mean: Mean, P: Covariance, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rebase(mean: Mean, P: Covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make the base's present pose the reference; returns also how errors before are errors after (n, n)."""
-    new, covariance, M = _clone_kernels.rebase(mean, P, frames)
+    new, covariance, M = _clone_kernels.rebase(mean, P)
     return *_read_only(new, covariance), M
 
 
-def compound(mean: Mean, P: Covariance, frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the base's pose (3,) in the frame at that index, and the covariance (10, 10) of it and the body."""
-    return _clone_kernels.compound(mean, P, frame)
+def compound(mean: Mean, P: Covariance) -> tuple[np.ndarray, np.ndarray]:
+    """Return the base's pose (3,) in the world, and the covariance (10, 10) of it and the body."""
+    return _clone_kernels.compound(mean, P)
 
 
 def correction_map(

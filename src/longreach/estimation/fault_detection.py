@@ -38,8 +38,9 @@ def faults_found(
     """Where an innovation is beyond the gate, widen what may be wrong with what was believed, before the source is.
 
     First the steps of the wheels: they slip, by ten times what their steps are usually wrong by. Where that does not
-    do, and a source says again and again that the pose is off by the same, it has been moved, or the map was laid
-    wrong: then the source is right. A fix tells of the map alone, all else of the local state.
+    do, and a source says again and again that the pose is off by the same, then the source is right: against a fix the
+    reference was laid wrong, else the base has been moved, or the source is wrong in a way that lasts, which nothing
+    tells apart; so the reference may be off by as much from now on.
     S (k, k): of the innovation.
     """
     (r, H, _), source = observation, measurement.source
@@ -51,7 +52,7 @@ def faults_found(
     if source in now.steps and now.tallies.keys() <= now.steps.keys():
         return now  # nobody else can tell
     fix, streaks = isinstance(measurement, PoseMeasurement), _without(now.streaks, source)
-    for wheels, added in () if fix else now.steps.items():
+    for wheels, added in now.steps.items():
         M, Q = moving(now, wheels, source, at), np.sum(added, axis=0)
         HM = H @ M
         for s in _SLIPS:
@@ -60,17 +61,16 @@ def faults_found(
                 return wide if source == wheels else _slipped(config, wide, wheels, s)
     if source in now.steps:
         return now
-    told = ekf.MAP if fix else at
+    told = ekf.REFERENCE if fix else at
     xi, before = np.linalg.lstsq(H[:, told : told + 3], r, rcond=None)[0], now.streaks.get(source)
     same = before is not None and np.linalg.norm(xi - before.xi) < 0.5 * np.linalg.norm(xi)
     times = before.times + 1 if before is not None and same else 1
     if times <= config.gate_patience:
         return now._replace(streaks={**streaks, source: Streak(times, xi)})
-    if fix:
-        P = widened(now.P, np.eye(len(now.mean), 3, -ekf.MAP), np.outer(xi, xi))
-        return now._replace(P=P, streaks=streaks)
-    P = now.P
-    for wheels in now.steps or ("",):
+    G = np.zeros((len(now.mean), 3))
+    G[ekf.REFERENCE : ekf.CLONES] = np.eye(3) if fix else se2.adjoint(now.mean[:3])
+    P = widened(now.P, G, np.outer(xi, xi))
+    for wheels in () if fix else now.steps or ("",):
         P = widened(P, moving(now, wheels, source, at), np.outer(xi, xi))
     return now._replace(P=P, streaks=streaks)
 

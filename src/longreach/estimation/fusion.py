@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
-from longreach.estimation.ekf import BODY, MAP, ODOM, SCALE
+from longreach.estimation.ekf import CLONES, REFERENCE, SCALE
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, PoseClone, Snapshot, Tally
@@ -66,27 +66,13 @@ class FusionState:
 
     @property
     def belief(self) -> Belief:
-        """The belief at `stamp`, its pose in the frame odom: smooth, and no fix moves it."""
-        return self.history[-1].belief_in("odom")
-
-    @property
-    def localized(self) -> Belief:
-        """The belief at `stamp`, its pose in the frame map, where fixes put it; without any it is `belief`."""
-        return self.history[-1].belief_in("map")
-
-    @property
-    def has_map(self) -> bool:
-        """Whether the frame map is told from odom."""
-        return self.history[-1].frames > 1
-
-    def at(self, stamp: float) -> Snapshot:
-        """Return what is believed at a time [s], predicted where it is after the newest event."""
-        newest = self.history[-1]._replace(links=None)
-        return predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest
+        """The belief at `stamp`."""
+        return self.history[-1].belief
 
     def belief_at(self, stamp: float) -> Belief:
-        """Return `at` with the pose in the frame odom."""
-        return self.at(stamp).belief_in("odom")
+        """Return what is believed at a time [s], predicted where it is after the newest event."""
+        newest = self.history[-1]._replace(links=None)
+        return (predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest).belief
 
     @property
     def counters(self) -> dict[str, Tally]:
@@ -120,22 +106,16 @@ def init(
     pose: Float[np.ndarray, "3"],
     pose_covariance: Float[np.ndarray, "3 3"] | None = None,
     config: FilterConfig | None = None,
-    in_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
 ) -> FusionState:
-    """Start at a pose [m, m, rad] in the frame odom, at rest as far as is known.
+    """Start at a pose [m, m, rad] in the world, which is the first reference, at rest as far as is known.
 
-    Arguments:
-        pose_covariance: of ξ = log(mean⁻¹ · truth); None: the pose is exact, as where a run defines its own frame.
-        in_map: the pose in the frame map and its covariance, where something else tells them; None: as in odom.
+    pose_covariance of ξ = log(mean⁻¹ · truth); None: the pose is exact, as where a run defines its own frame.
     """
     config = config or FilterConfig()
-    n = BODY + 3 * (1 if in_map is None else 2)
-    mean, P = np.zeros(n), np.zeros((n, n))
-    mean[ODOM : ODOM + 3] = pose
+    mean, P = np.zeros(CLONES), np.zeros((CLONES, CLONES))
+    mean[REFERENCE:] = pose
     if pose_covariance is not None:
-        P[ODOM : ODOM + 3, ODOM : ODOM + 3] = pose_covariance
-    if in_map is not None:
-        mean[MAP : MAP + 3], P[MAP : MAP + 3, MAP : MAP + 3] = in_map
+        P[REFERENCE:, REFERENCE:] = pose_covariance
     P[3:6, 3:6] = np.diag(np.square(config.initial_twist_deviation))
     P[6:9, 6:9] = np.diag(config.motion.acceleration_variance)
     P[9, 9] = config.initial_gyro_bias_deviation**2
@@ -144,13 +124,13 @@ def init(
         np.isfinite(stamp)
         and np.all(np.isfinite(mean))
         and np.all(np.isfinite(P))
-        and all(np.linalg.eigvalsh(P[i : i + 3, i : i + 3])[0] >= -1e-12 for i in range(ODOM, n, 3))
+        and np.linalg.eigvalsh(P[REFERENCE:, REFERENCE:])[0] >= -1e-12
     ):
         raise EstimationError(
             "The filter must start at a finite stamp and pose, with a positive semidefinite covariance."
         )
     mean.flags.writeable = P.flags.writeable = False
-    return FusionState(config, (Snapshot((float(stamp), -1, ""), None, mean, P, (n - BODY) // 3),))
+    return FusionState(config, (Snapshot((float(stamp), -1, ""), None, mean, P),))
 
 
 def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:

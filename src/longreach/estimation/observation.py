@@ -96,14 +96,14 @@ def observe_twist(mean: Mean, measurement: TwistMeasurement) -> Observation:
     return Observation(*_kernels.observe_twist(mean, _copy(measurement.twist), _copy(measurement.covariance)))
 
 
-def observe_pose(mean: Mean, measurement: PoseMeasurement, frame: int = 0) -> Observation:
+def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
     """z = G X, its error n in the world's axes: H = blkdiag(R(θ), 1) on the error Ad(X⁻¹) γ + ξ of G X.
 
-    G is the frame at `frame` in the mean, 0: none. With d = log((G X)⁻¹ · z) known, that is with all three measured,
-    ours is R(θ_z) d = R(θ_z) Ad(exp(-d)) ξ + n: linearised at the measurement, with the error seen from there, so that
-    a first fix after a holiday lands on the pose measured however far that is.
+    G is the reference's pose. With d = log((G X)⁻¹ · z) known, that is with all three measured, ours is
+    R(θ_z) d = R(θ_z) Ad(exp(-d)) (Ad(X⁻¹) γ + ξ) + n: linearised at the measurement, with the error seen from there, so
+    that a first fix after a holiday lands on the pose measured however far that is.
     """
-    return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), frame))
+    return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
 
 
 def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, clone: int, at: int = 0) -> Observation:
@@ -168,8 +168,7 @@ def blocks_of(measurement: Measurement) -> Int[np.ndarray, " k"]:
 def observe(mean: Mean, measurement: Any, *indices: int) -> tuple[Observation, str]:
     """Return the observation, and why it must not be used ("" where it may be).
 
-    indices: in the mean, of the frame of an absolute pose; of the clone that a relative pose is seen from, and of the
-    pose that it tells, 0 the present one.
+    indices: in the mean, of the clone that a relative pose is seen from, and of the pose that it tells, 0 the present.
     """
     observation = MODELS[type(measurement)](mean, measurement, *indices)
     return observation, _FAULTS[_kernels.fault(observation.innovation, observation.R)]

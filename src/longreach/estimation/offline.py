@@ -1,7 +1,6 @@
 """The filter over a whole recording at once."""
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,37 +9,21 @@ from longreach.estimation.fusion import Correction, Event, FusionState, step
 from longreach.trajectory import PoseTrajectory
 
 
-_Row = tuple[float, np.ndarray, np.ndarray]  # stamp, pose, covariance
-
-
-class Run(NamedTuple):
-    """The filter's last state, a row at every stamp in the frame odom, what became of each event; `localized`: in map.
-
-    localized: None where nothing tells map from odom.
-    """
-
-    state: FusionState
-    fused: PoseTrajectory
-    corrections: list[Correction]
-    localized: PoseTrajectory | None
-
-
-def run(state: FusionState, events: Iterable[Event], progress: Callable[[int], None] | None = None) -> Run:
+def run(
+    state: FusionState, events: Iterable[Event], progress: Callable[[int], None] | None = None
+) -> tuple[FusionState, PoseTrajectory, list[Correction]]:
     """Take all events, sorted as `fusion.in_order` does, and keep the pose after the last one at each stamp.
 
     Give `init` a config with history=0: sorted events need none. progress: called now and then with the number of
-    events taken. There is a row at every stamp that was taken, gated and refused measurements included (there the row
-    is a prediction).
+    events taken. Returns the last state; a row at every stamp that was taken, gated and refused measurements included
+    (there the row is a prediction); and what became of each event.
     """
     corrections: list[Correction] = []
-    odom: list[_Row] = []
-    in_map: list[_Row] = []
+    rows: list[tuple[float, np.ndarray, np.ndarray]] = []
     pending = False  # the state's stamp has an event and no row yet
 
     def emit() -> None:
-        last = state.history[-1]
-        odom.append((last.key[0], *last.pose_in("odom")))
-        in_map.append((last.key[0], *last.pose_in("map")) if state.has_map else odom[-1])
+        rows.append((state.stamp, *state.history[-1].pose))
 
     for event in events:
         after, correction = step(state, event)
@@ -55,11 +38,7 @@ def run(state: FusionState, events: Iterable[Event], progress: Callable[[int], N
         emit()
     if progress is not None:
         progress(len(corrections))
-    if not odom:
+    if not rows:
         raise EstimationError("No measurement could be taken: none has a stamp at or after the start of the filter.")
-    return Run(state, _path(odom), corrections, _path(in_map) if state.has_map else None)
-
-
-def _path(rows: list[_Row]) -> PoseTrajectory:
     stamps, poses, covariances = zip(*rows, strict=True)
-    return PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances))
+    return state, PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances)), corrections

@@ -4,8 +4,8 @@ A Rauch–Tung–Striebel smoother in the form of Bryson and Frazier, which need
 pose has just been cloned or made the reference. Going back over what the filter did, λ and Λ gather
 what was learned later, λ ← Mᵀ λ - Hᵀ S⁻¹ r and Λ ← Mᵀ Λ M + Hᵀ S⁻¹ H; the smoothed error is -P λ, its covariance
 P - P Λ P. The change of the reference is a linear map of the errors like any other. The smoother looks back over a
-filter of its own, in which every measurement corrects the frames odom and map too, as a smoother's theory wants it:
-what that does is bounded by what the last references were wrong by.
+filter of its own, in which every measurement corrects the reference's pose too, as a smoother's theory wants it: what that
+does is bounded by what the last references were wrong by.
 
 Source: Bierman 1973, "Fixed interval smoothing with discrete measurements", the modified Bryson–Frazier smoother.
 """
@@ -24,8 +24,7 @@ from longreach.trajectory import PoseTrajectory
 
 
 def smooth(state: FusionState, events: Iterable[Event]) -> PoseTrajectory:
-    """Take all events, sorted as `fusion.in_order` does, and return the smoothed pose at each stamp, as `run` does:
-    in the frame map where there were fixes, else in odom.
+    """Take all events, sorted as `fusion.in_order` does, and return the smoothed pose at each stamp, as `run` does.
 
     Give `init` a config with history=0: sorted events need none.
     """
@@ -49,10 +48,10 @@ def _back(taken: Sequence[Snapshot]) -> PoseTrajectory:
     for snapshot in reversed(taken):
         if not stamps or snapshot.key[0] < stamps[-1]:
             stamps.append(snapshot.key[0])
-            P, i = snapshot.P, ekf.MAP if snapshot.frames > 1 else ekf.ODOM
+            P = snapshot.P
             J = np.zeros((3, len(P)))  # of the compounded pose's error: Ad(X⁻¹) γ + ξ
-            J[:, :3], J[:, i : i + 3] = np.eye(3), se2.adjoint(se2.inverse(snapshot.mean[:3]))
-            pose, covariance = snapshot.pose_in("map")
+            J[:, :3], J[:, ekf.REFERENCE : ekf.CLONES] = np.eye(3), se2.adjoint(se2.inverse(snapshot.mean[:3]))
+            pose, covariance = snapshot.pose
             poses.append(se2.retract(pose, -(J @ P @ lam)))
             covariance = covariance - J @ P @ Lam @ P @ J.T
             covariances.append(0.5 * (covariance + covariance.T))

@@ -104,12 +104,11 @@ class Link(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """The filter after one event (None: the start): mean (13 + 3f + 3m,), P, and by source clones, tallies, noise.
+    """The filter after one event (None: the start): mean (16 + 3m,), P, and by source clones, tallies, noise.
 
-    frames: f, 1 for odom, 2 with map. steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the
-    covariance of the pose since another source told it, through translations and through turns. streaks: by source,
-    what it has said beyond the gate without a break. slip: of the wheels. drift: cumulative sum of the innovations of
-    headings, each over its deviation.
+    steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the covariance of the pose since another
+    source told it, through translations and through turns. streaks: by source, what it has said beyond the gate without
+    a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
@@ -117,7 +116,6 @@ class Snapshot(NamedTuple):
     event: Event | None
     mean: np.ndarray
     P: np.ndarray
-    frames: int = 1
     clones: Mapping[str, Clone] = {}
     tallies: Mapping[str, Tally] = {}
     noise: Mapping[str, Noise] = {}
@@ -129,26 +127,25 @@ class Snapshot(NamedTuple):
 
     def place(self, number: int) -> int:
         """Return where in the mean the pose clone of that number is."""
-        return ekf.BODY + 3 * (self.frames + number)
+        return ekf.CLONES + 3 * number
 
     @property
     def spare(self) -> int:
         """The number of the next pose clone."""
-        return (len(self.mean) - ekf.BODY) // 3 - self.frames
+        return (len(self.mean) - ekf.CLONES) // 3
 
-    def pose_in(self, frame: Literal["odom", "map"]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the base's pose (3,) in a frame, and the covariance (3, 3) of its ξ; without fixes, map is odom."""
-        pose, covariance = self._in(frame)
+    @property
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """The base's pose (3,) in the world, and the covariance (3, 3) of its ξ."""
+        pose, covariance = ekf.compound(self.mean, self.P)
         return pose, covariance[:3, :3].copy()  # a view would keep more alive
 
-    def belief_in(self, frame: Literal["odom", "map"]) -> Belief:
-        """Return what is believed, with the pose in a frame."""
+    @property
+    def belief(self) -> Belief:
+        """What is believed, with the pose in the world."""
         (stamp, *_), mean = self.key, self.mean
-        pose, covariance = self._in(frame)
+        pose, covariance = ekf.compound(mean, self.P)
         twist = mean[3:6]
         if self.slip.rate.any():  # which the pose goes with, and wheels do not count
             twist = twist + velocity(self.slip, float(np.hypot(twist[0], twist[1])), stamp)
         return Belief(stamp, pose, twist, mean[6:9], float(mean[9]), covariance)
-
-    def _in(self, frame: Literal["odom", "map"]) -> tuple[np.ndarray, np.ndarray]:
-        return ekf.compound(self.mean, self.P, ekf.MAP if frame == "map" and self.frames > 1 else ekf.ODOM)

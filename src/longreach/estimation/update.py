@@ -47,7 +47,7 @@ def take(
     links = None if before.links is None else ()
     now = predicted(config, before._replace(links=links), key)._replace(event=event)
     if isinstance(event, PoseMeasurement):
-        return _corrected(config, _with_map(now), event)
+        return _corrected(config, now, event)
     if isinstance(event, Keyframe):
         after, correction = _slip_seen(config, now, *_keyframe(config, now, event))
         return _rebased(after), correction
@@ -74,7 +74,7 @@ def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str
 
 def _rebased(now: Snapshot) -> Snapshot:
     """Make the base's pose the reference."""
-    mean, P, M = ekf.rebase(now.mean, now.P, now.frames)
+    mean, P, M = ekf.rebase(now.mean, now.P)
     return _linked(now, lambda: M)._replace(mean=mean, P=P)
 
 
@@ -85,15 +85,6 @@ def _renewed(now: Snapshot) -> Snapshot:
         return now
     matched = max((clone.matched for clone in now.clones.values()), default=-math.inf)
     return _rebased(now) if now.key[0] - matched > _UNMATCHED else now
-
-
-def _with_map(now: Snapshot) -> Snapshot:
-    """Tell the frame map from odom, which it was until the first fix."""
-    if now.frames > 1:
-        return now
-    rows = ekf.adding_map(len(now.mean))
-    mean, P = ekf.chosen(now.mean, now.P, rows)
-    return _linked(now, lambda: np.eye(len(now.mean))[rows])._replace(mean=mean, P=P, frames=2)
 
 
 def _slipped(now: Snapshot, since: float) -> Snapshot:
@@ -218,7 +209,7 @@ def _corrected(
 ) -> tuple[Snapshot, Correction]:
     """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one.
 
-    A fix corrects the frame map alone, all else the local state alone; for a smoother, each corrects all.
+    What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
     """
     stamp, source = measurement.stamp, measurement.source
     tally, clone, fix = now.tallies.get(source, Tally()), None, isinstance(measurement, PoseMeasurement)
@@ -228,7 +219,7 @@ def _corrected(
         tallies = {**now.tallies, source: tally._replace(refused=tally.refused + 1)}
         return now._replace(tallies=tallies), said._replace(reason=reason)
 
-    indices: tuple[int, ...] = (ekf.MAP,) if fix else ()
+    indices: tuple[int, ...] = ()
     if isinstance(measurement, RelativePoseMeasurement):
         clone = now.clones.get(source)
         if clone is None or clone.stamp != measurement.stamp_reference:
@@ -249,8 +240,8 @@ def _corrected(
         )
     if now.P is not judged.P:
         S = ekf.innovation_covariance(now.P, H, R)
-    considered = now.frames if now.links is None else 0
-    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, considered, fix and considered > 0)
+    gain: Literal["all", "local", "fix"] = "all" if now.links is not None else "fix" if fix else "local"
+    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, gain)
     if nis == np.inf:
         return refused("its innovation has no positive definite covariance")
     if config.noise_memory > 0.0 and at == 0:
@@ -283,10 +274,10 @@ def _learned(
     blocks: np.ndarray,
     S: np.ndarray,
 ) -> Snapshot:
-    """Learn from an innovation about its source's noise; from a match also about the wheels' steps."""
+    """Learn from an innovation about its source's noise; from one that tells the pose, also about the wheels' steps."""
     (r, H, R), source, steps = observation, measurement.source, now.steps
     is_wheels = source in steps
-    tells_pose = isinstance(measurement, RelativePoseMeasurement) and not is_wheels
+    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and not is_wheels
     others = list(steps) if tells_pose else []
     names = [source, *(process_noise(wheels) for wheels in others)]
     noises = [now.noise.get(name, NOMINAL) for name in names]
