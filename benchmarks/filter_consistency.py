@@ -15,7 +15,7 @@ from scipy.special import gammaincinv
 
 from longreach.estimation import motion
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, FusionState, in_order, init, step
+from longreach.estimation.fusion import FusionState, Keyframe, in_order, init, step
 from longreach.estimation.observation import PlanarImu
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -103,7 +103,7 @@ def planar_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
                 events = [RelativePoseMeasurement(keyframe_stamp, stamp, z, MATCH, "lidar")]
             if stamp - keyframe_stamp > 0.95:
                 keyframe, keyframe_stamp = x, stamp
-                events.append(Anchor(stamp, "lidar"))
+                events.append(Keyframe(stamp, "lidar"))
         for event in in_order(events):
             state, _ = step(state, event)
     return state, truth

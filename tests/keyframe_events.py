@@ -5,7 +5,7 @@ import numpy as np
 
 from longreach.estimation import motion
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor
+from longreach.estimation.fusion import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement, TwistMeasurement
 
@@ -37,7 +37,7 @@ def events_of(rng, shares=True):
     x, events, truth = np.zeros(13), [], [np.zeros(3)]
     x[3:6], x[6:9] = rng.normal(size=3), rng.normal(size=3) * CONFIG.acceleration_deviation
     keyframe, since = se2.retract(x[:3], noise(rng)), 0.0
-    events.append(Anchor(0.0, "lidar"))
+    events.append(Keyframe(0.0, "lidar"))
     for i in range(1, SCANS + 1):
         x, now = motion.draw(CONFIG.motion, x, 0.1, rng), 0.1 * i
         truth.append(x[:3])
@@ -48,7 +48,7 @@ def events_of(rng, shares=True):
         match = RelativePoseMeasurement(since, now, z, SCAN + shared, "lidar", None, shared if shares else None)
         events.append(TwistMeasurement(now, x[3:6] + noise(rng, WHEELS), WHEELS, "wheels"))
         if i % EVERY == 0:
-            events += [Anchor(now, "lidar", match)] if shares else [match, Anchor(now, "lidar")]
+            events += [Keyframe(now, "lidar", match)] if shares else [match, Keyframe(now, "lidar")]
             keyframe, since = se2.retract(x[:3], common + noise(rng, (1.0 - SAME) * SCAN)), now
         else:
             events.append(match)

@@ -4,7 +4,7 @@ from scipy.linalg import block_diag, expm
 
 from longreach.estimation import _kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, init, step
+from longreach.estimation.fusion import Keyframe, PoseClone, init, step
 from longreach.estimation.motion import MotionModel
 from longreach.estimation.observation import PlanarImu, observe
 from longreach.geometry import se2
@@ -100,14 +100,14 @@ def test_relative_poses_without_process_information_are_dead_reckoning(rng):
     )
     start, P0 = np.array([1.0, -2.0, 2.5]), np.diag([0.01, 0.02, 0.005])
     state = init(0.0, start, P0, config)
-    state, _ = step(state, Anchor(0.0, "wheels"))
+    state, _ = step(state, PoseClone(0.0, "wheels"))
     pose, covariance, now = start, P0, 0.0
     for _ in range(60):
         stamp = now + float(rng.uniform(0.01, 2.0))  # what the stamps say does not matter
         z = np.array([0.1, 0.02, 0.1]) * rng.normal(size=3)
         R = spd(rng, 3, 1e-3)
         state, _ = step(state, RelativePoseMeasurement(now, stamp, z, R, "wheels"))
-        state, _ = step(state, Anchor(stamp, "wheels"))
+        state, _ = step(state, PoseClone(stamp, "wheels"))
         now = stamp
         pose = se2.compose(pose, z)
         A = se2.adjoint(se2.inverse(z))
@@ -127,7 +127,7 @@ def test_two_matches_to_one_anchor_share_its_error():
     state = init(0.0, np.zeros(3), np.diag([0.3**2, 0.3**2, 0.0]), config)
     R = np.diag([r, r, 1e-6])
     for event in (
-        Anchor(0.0, "lidar"),
+        Keyframe(0.0, "lidar"),
         RelativePoseMeasurement(0.0, dt, np.array([z1, 0.0, 0.0]), R, "lidar"),
         RelativePoseMeasurement(0.0, 2 * dt, np.array([z2, 0.0, 0.0]), R, "lidar"),
         PoseMeasurement(2 * dt, np.array([z_fix, 0.0, 0.0]), np.diag([fix, np.inf, np.inf])),

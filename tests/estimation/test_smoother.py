@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from longreach.errors import EstimationError
 from longreach.estimation import _kernels, offline
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, in_order, init
+from longreach.estimation.fusion import Keyframe, in_order, init
 from longreach.estimation.smoother import smooth
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -44,7 +44,7 @@ def test_without_rotation_it_is_batch_least_squares(rng):
         history=0.0,
     )
     stamps = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 0.4, 9))]).tolist()
-    events, rows, values, variances = [Anchor(stamps[2], "lidar")], [], [], []
+    events, rows, values, variances = [Keyframe(stamps[2], "lidar")], [], [], []
     for i, stamp in enumerate(stamps):
         z, row = rng.normal(), np.zeros(3 * len(stamps))
         if i in (0, 4, 8):

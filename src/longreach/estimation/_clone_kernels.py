@@ -73,30 +73,35 @@ def clone(mean, P, i):
 
 
 @kernel
-def rebase(mean, P):
-    """Make the base's present pose X the reference; returns the mean, P, and how errors before are errors after.
+def rebase(mean, P, r):
+    """Make the pose A at r the reference; returns the mean, P, and how errors before are errors after.
 
-    The pose becomes the identity with no error at all. A clone Y becomes X⁻¹Y, its error η - Ad((X⁻¹Y)⁻¹) ξ; the
-    reference's pose G becomes G X, its error Ad(X⁻¹) γ + ξ.
+    A pose Y, seen from the reference, becomes A⁻¹Y, its error η - Ad((A⁻¹Y)⁻¹) α: nothing at all for A itself. The
+    pose G of the reference becomes G A, its error Ad(A⁻¹) γ + α.
     """
-    n, g = len(mean), REFERENCE
-    new, M, A = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
-    for a in range(3, n):
+    n = len(mean)
+    new, M, B = mean.copy(), np.zeros((n, n)), np.empty((3, 3))
+    for a in range(n):
         M[a, a] = 1.0
-    X = (mean[0], mean[1], mean[2])
-    new[:3] = 0.0
-    new[g], new[g + 1], new[g + 2] = se2_compose(mean[g], mean[g + 1], mean[g + 2], X[0], X[1], X[2])
-    x, y, t = se2_between(X[0], X[1], X[2], 0.0, 0.0, 0.0)
-    se2_adjoint(x, y, t, M[g : g + 3, g : g + 3])
-    for a in range(3):
-        M[g + a, a] = 1.0
-    for i in range(g + 3, n, 3):
-        new[i], new[i + 1], new[i + 2] = se2_between(X[0], X[1], X[2], mean[i], mean[i + 1], mean[i + 2])
-        x, y, t = se2_between(new[i], new[i + 1], new[i + 2], 0.0, 0.0, 0.0)
-        se2_adjoint(x, y, t, A)
-        for a in range(3):
-            for b in range(3):
-                M[i + a, b] = -A[a, b]
+    A = (mean[r], mean[r + 1], mean[r + 2])
+    for k in range((n - REFERENCE) // 3 + 1):
+        i = 0 if k == 0 else REFERENCE + 3 * (k - 1)
+        if i == REFERENCE:
+            new[i], new[i + 1], new[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], A[0], A[1], A[2])
+            x, y, t = se2_between(A[0], A[1], A[2], 0.0, 0.0, 0.0)
+            se2_adjoint(x, y, t, M[i : i + 3, i : i + 3])
+            for a in range(3):
+                M[i + a, r + a] = 1.0
+        elif i == r:
+            new[i : i + 3] = 0.0
+            M[i : i + 3, i : i + 3] = 0.0
+        else:
+            new[i], new[i + 1], new[i + 2] = se2_between(A[0], A[1], A[2], mean[i], mean[i + 1], mean[i + 2])
+            x, y, t = se2_between(new[i], new[i + 1], new[i + 2], 0.0, 0.0, 0.0)
+            se2_adjoint(x, y, t, B)
+            for a in range(3):
+                for b in range(3):
+                    M[i + a, r + b] = -B[a, b]
     return new, congruence(M, P), M
 
 

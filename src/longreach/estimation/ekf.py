@@ -118,9 +118,9 @@ def moving_last(n: int, i: int) -> Int[np.ndarray, " m"]:
     return rows
 
 
-def rebase(mean: Mean, P: Covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make the base's present pose the reference; returns also how errors before are errors after (n, n)."""
-    new, covariance, M = _clone_kernels.rebase(mean, P)
+def rebase(mean: Mean, P: Covariance, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Make the pose at i (0: the base's) the reference; returns also how errors before are errors after (n, n)."""
+    new, covariance, M = _clone_kernels.rebase(mean, P, i)
     return *_read_only(new, covariance), M
 
 

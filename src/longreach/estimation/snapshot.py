@@ -1,6 +1,5 @@
 """What the filter holds after an event: mean, covariance, pose clones, and what it has learned of its sources."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -75,13 +74,13 @@ class Correction(NamedTuple):
 class Clone(NamedTuple):
     """A pose clone: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise.
 
-    matched: when a scan was last matched to it [s]; of what is no keyframe, never.
+    keyframe: whether scans are matched to it.
     """
 
     number: int
     stamp: float
     own: np.ndarray | None = None
-    matched: float = -math.inf
+    keyframe: bool = False
 
 
 class Streak(NamedTuple):

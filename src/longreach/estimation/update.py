@@ -8,9 +8,11 @@ differently:
   becomes a keyframe is a clone from the match on that tells where it is, so that its noise, which that match has in
   common with those to come, is counted once.
 
-When a keyframe has been placed, the base's pose at that time becomes the local reference. (Were it the keyframe as its
-scan shows it, the scan's noise, which later scans tell, would be an error of the reference, which nothing corrects; so
-the clone stays in the state beside the reference.) Without keyframes the reference is renewed on the way.
+The local reference is the keyframe before the last: its clone becomes the reference, and is no longer in the state,
+when the next keyframe has been placed. By then all scans that were matched to it have told where it is, and nothing is
+lost when it has no gain any more. (With the last keyframe itself as the reference, the noise of its scan, which later
+scans tell, stays in odom; simulated drives were then up to twice as wrong.) Where there are no keyframes, or they are
+far, the reference is renewed on the way.
 """
 
 import math
@@ -34,8 +36,8 @@ _OWN = 0.05  # at least this part of a match's variance is its own
 # Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
 # keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
 _SAME = 0.7
-_FAR, _TURNED = 1.0, 1.0  # [m], [rad] from the reference, where it is renewed if no scan is matched
-_UNMATCHED = 2.0  # [s] since a scan was matched, after which the reference is renewed on the way
+_FAR = 1.0  # [m], [rad] from the reference, where it is renewed
+_LOST = 10.0  # [m] likewise where there is a keyframe, which a scan is hardly matched to from further off
 _ROWS = np.array([0, 0, 1])  # translations and turn
 _NOTHING_ADDED = np.zeros((2, 3, 3))
 
@@ -50,7 +52,7 @@ def take(
         return _corrected(config, now, event)
     if isinstance(event, Keyframe):
         after, correction = _slip_seen(config, now, *_keyframe(config, now, event))
-        return _rebased(after), correction
+        return after, correction
     if isinstance(event, PoseClone):
         return _cloned(now, event), Correction(event.stamp, event.source, "used")
     if not isinstance(event, RelativePoseMeasurement):
@@ -72,19 +74,27 @@ def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str
     return _slipped(now, before.key[0]) if dt > 0.0 and now.slip.variance.any() else now
 
 
-def _rebased(now: Snapshot) -> Snapshot:
-    """Make the base's pose the reference."""
-    mean, P, M = ekf.rebase(now.mean, now.P)
+def _rebased(now: Snapshot, i: int) -> Snapshot:
+    """Make the pose at i the reference."""
+    mean, P, M = ekf.rebase(now.mean, now.P, i)
     return _linked(now, lambda: M)._replace(mean=mean, P=P)
 
 
 def _renewed(now: Snapshot) -> Snapshot:
-    """Make the base's pose the reference where the last one is far, and no scan tells how far."""
+    """Make the best known pose the reference, where the last one is far."""
     x, y, turn = now.mean[:3]
-    if math.hypot(x, y) < _FAR and abs(turn) < _TURNED:
+    far = _LOST if any(clone.keyframe for clone in now.clones.values()) else _FAR
+    if math.hypot(x, y) < far and abs(turn) < far:
         return now
-    matched = max((clone.matched for clone in now.clones.values()), default=-math.inf)
-    return _rebased(now) if now.key[0] - matched > _UNMATCHED else now
+    return _rebased(now, _best_known(now))
+
+
+def _best_known(now: Snapshot) -> int:
+    """Return where in the mean the pose is that nothing to come tells more of: where wheels say that the base is.
+
+    The base's own pose waits for their next reading to be corrected; it serves where there are no wheels.
+    """
+    return next((now.place(now.clones[wheels].number) for wheels in now.steps), 0)
 
 
 def _slipped(now: Snapshot, since: float) -> Snapshot:
@@ -136,7 +146,7 @@ def _keyframe(config: FilterConfig, now: Snapshot, event: Keyframe) -> tuple[Sna
     number = spare if old is None else old.number
     correction = Correction(event.stamp, event.source, "used")
     if match is None:
-        now = _copied(now, number)
+        now = _copied(_rebased(now, _best_known(now)), number)
     else:
         now, match = _apart(now, match)
         at, own = now.place(spare), match.covariance
@@ -147,11 +157,12 @@ def _keyframe(config: FilterConfig, now: Snapshot, event: Keyframe) -> tuple[Sna
         now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
         if number != spare:
+            now = _rebased(now, now.place(number))
             n = len(now.mean)
             rows = ekf.moving_last(n, now.place(number))
             mean, P = ekf.chosen(now.mean, now.P, rows)
             now = _linked(now, lambda: np.eye(n)[rows])._replace(mean=mean, P=P)
-    clone = Clone(number, event.stamp, own, event.stamp)
+    clone = Clone(number, event.stamp, own, True)
     return now._replace(clones={**now.clones, event.source: clone}), correction
 
 
@@ -249,8 +260,6 @@ def _corrected(
     status, reason, tally = _judged(tally, nis, gate, scale)
     if now.links is not None and scale > 0.0:
         now = now._replace(links=(*now.links, Link(*ekf.correction_map(now.mean, now.P, r, H, scale * R))))
-    if clone is not None and scale > 0.0 and clone.matched > -math.inf:
-        now = now._replace(clones={**now.clones, source: now.clones[source]._replace(matched=stamp)})
     tallies = {**now.tallies, source: tally}
     return now._replace(mean=mean, P=P, tallies=tallies), Correction(stamp, source, status, reason, r, nis, k)
 
