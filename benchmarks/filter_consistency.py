@@ -38,12 +38,12 @@ def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
     P = state.belief.covariance
     measured = np.diag(P) > 0
     error[measured] = _noise(P[np.ix_(measured, measured)], rng)
-    return motion.retract(state.history[-1].mean, error)
+    mean = np.concatenate([state.belief.pose, state.history[-1].mean[3:13]])
+    return motion.retract(mean, error)
 
 
 def _error(state: FusionState, truth: np.ndarray) -> np.ndarray:
-    mean = state.history[-1].mean
-    return np.concatenate([se2.difference(mean[:3], truth[:3]), truth[3:10] - mean[3:10]])
+    return np.concatenate([se2.difference(state.belief.pose, truth[:3]), truth[3:10] - state.history[-1].mean[3:10]])
 
 
 def _nees(error: np.ndarray, P: np.ndarray, components: list[int]) -> float:

@@ -1,4 +1,4 @@
-"""Poses relative to keyframes: one anchor for all matches to one, and the noise of its own scan counted once."""
+"""Poses relative to keyframes: one pose clone for all matches to one, and the noise of its own scan counted once."""
 
 from dataclasses import replace
 
@@ -59,10 +59,10 @@ def test_a_keyframe_that_no_match_leads_to_takes_its_noise_from_the_first_match(
     match = RelativePoseMeasurement(0.0, 0.1, z, SCAN + A @ SCAN @ A.T, "lidar", None, A @ SCAN @ A.T)
     state, _ = step(state, match)
     np.testing.assert_allclose(state.clones["lidar"].own, SCAN, atol=1e-12)
-    before = np.diag(state.history[-1].P)[13:16]
+    before = np.diag(state.history[-1].P)[16:19]
     assert np.all(before > 0.5 * np.diag(SCAN))
     state, _ = step(state, replace(match, stamp=0.2))
-    assert np.all(np.diag(state.history[-1].P)[13:16] <= before)  # counted once
+    assert np.all(np.diag(state.history[-1].P)[16:19] <= before)  # counted once
 
 
 def test_what_is_shared_may_be_all_there_is(rng):
@@ -76,17 +76,17 @@ def test_what_is_shared_may_be_all_there_is(rng):
     assert np.linalg.eigvalsh(state.history[-1].P)[0] > -1e-12
 
 
-def test_a_keyframe_whose_match_says_nothing_finite_is_an_anchor_all_the_same():
+def test_a_keyframe_whose_match_says_nothing_finite_is_a_keyframe_all_the_same():
     state, _ = step(init(0.0, np.zeros(3), None, CONFIG), Keyframe(0.0, "lidar"))
     bad = RelativePoseMeasurement(0.0, 0.1, np.array([np.nan, 0.0, 0.0]), 2 * SCAN, "lidar", None, SCAN)
     state, correction = step(state, Keyframe(0.1, "lidar", bad))
     assert correction.status == "refused"
     assert state.clones["lidar"].stamp == 0.1
     assert np.all(np.isfinite(state.history[-1].mean))
-    assert len(state.history[-1].mean) == 16
+    assert len(state.history[-1].mean) == 19
 
 
-def test_a_match_of_another_stamp_makes_no_anchor():
+def test_a_match_of_another_stamp_makes_no_keyframe():
     with pytest.raises(EstimationError, match="of the same stamp and source"):
         Keyframe(0.2, "lidar", RelativePoseMeasurement(0.0, 0.1, np.zeros(3), SCAN, "lidar"))
 

@@ -51,8 +51,8 @@ def take(
     if isinstance(event, PoseMeasurement):
         return _corrected(config, now, event)
     if isinstance(event, Keyframe):
-        after, correction = _slip_seen(config, now, *_keyframe(config, now, event))
-        return after, correction
+        seen, correction, own = _keyframe_seen(config, now, event)
+        return _keyframe_placed(_slip_seen(config, now, seen, correction)[0], event, own), correction
     if isinstance(event, PoseClone):
         return _cloned(now, event), Correction(event.stamp, event.source, "used")
     if not isinstance(event, RelativePoseMeasurement):
@@ -139,14 +139,17 @@ def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
     return _copied(now, number)._replace(clones={**now.clones, event.source: Clone(number, event.stamp)})
 
 
-def _keyframe(config: FilterConfig, now: Snapshot, event: Keyframe) -> tuple[Snapshot, Correction]:
-    """Place a keyframe at the pose; with a match, at the pose as the scan shows it, which the match tells."""
-    old, match = now.clones.get(event.source), event.match
-    spare, own = now.spare, None
-    number = spare if old is None else old.number
+def _keyframe_seen(
+    config: FilterConfig, now: Snapshot, event: Keyframe
+) -> tuple[Snapshot, Correction, np.ndarray | None]:
+    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match tells.
+
+    The clone is the last one. Returns also which part of its covariance is the scan's own noise.
+    """
+    match, spare, own = event.match, now.spare, None
     correction = Correction(event.stamp, event.source, "used")
     if match is None:
-        now = _copied(_rebased(now, _best_known(now)), number)
+        now = _copied(_rebased(now, _best_known(now)), spare)
     else:
         now, match = _apart(now, match)
         at, own = now.place(spare), match.covariance
@@ -156,14 +159,21 @@ def _keyframe(config: FilterConfig, now: Snapshot, event: Keyframe) -> tuple[Sna
         match = replace(match, covariance=(1.0 - _SAME) * own)
         now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
-        if number != spare:
-            now = _rebased(now, now.place(number))
-            n = len(now.mean)
-            rows = ekf.moving_last(n, now.place(number))
-            mean, P = ekf.chosen(now.mean, now.P, rows)
-            now = _linked(now, lambda: np.eye(n)[rows])._replace(mean=mean, P=P)
-    clone = Clone(number, event.stamp, own, True)
-    return now._replace(clones={**now.clones, event.source: clone}), correction
+    return now, correction, own
+
+
+def _keyframe_placed(now: Snapshot, event: Keyframe, own: np.ndarray | None) -> Snapshot:
+    """Let the last clone, which is the new keyframe's, take the place of the old one's, which becomes the reference."""
+    old, clone = now.clones.get(event.source), Clone(now.spare - 1, event.stamp, own, True)
+    if old is not None:
+        if event.match is not None:
+            now = _rebased(now, now.place(old.number))
+        n = len(now.mean)
+        rows = ekf.moving_last(n, now.place(old.number))
+        mean, P = ekf.chosen(now.mean, now.P, rows)
+        now = _linked(now, lambda: np.eye(n)[rows])._replace(mean=mean, P=P)
+        clone = clone._replace(number=old.number)
+    return now._replace(clones={**now.clones, event.source: clone})
 
 
 def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, RelativePoseMeasurement]:
