@@ -17,7 +17,7 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
-from longreach.app.guides import wheel_events, guided_odometry, lidar_events, wheel_guides
+from longreach.app.guides import guided_odometry, lidar_events, wheel_events, wheel_guides
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
@@ -35,6 +35,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 _FILTERED = ("fused", "localized", "smoothed")
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -122,9 +123,10 @@ def estimate(
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, judged, _found(matches))
+    corrections = [correction for name in judged for correction in judged[name]]
     remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, tallies), *evaluation.remarks)
     return Estimate(
-        recording, robot, config, matches, [c for some in judged.values() for c in some], replace(evaluation, metrics=metrics, remarks=remarks)
+        recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
     )
 
 

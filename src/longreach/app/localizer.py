@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
-from longreach.app.guides import Trust, wheel_events, guided_step, match_events, wheel_guide
+from longreach.app.guides import Trust, guided_step, match_events, wheel_events, wheel_guide
 from longreach.control.hardware import Readings
 from longreach.estimation import fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
@@ -129,7 +129,7 @@ def step(
 
 
 def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
-    """Return the rows, in the frame odom, that a step has settled, oldest first; after it has ended (None), all left."""
+    """Return the rows in the frame odom that a step has settled, oldest first; after it has ended (None), all left."""
     return _settled(before.filter, None if after is None else after.filter)
 
 

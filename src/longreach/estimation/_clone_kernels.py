@@ -107,7 +107,7 @@ def rebase(mean, P, r):
 
 @kernel
 def compound(mean, P):
-    """The base's pose G X in the world, and the covariance (10, 10) of its error Ad(X⁻¹) γ + ξ and the body's others."""
+    """The base's pose G X in the world; the covariance (10, 10) of its error Ad(X⁻¹) γ + ξ and the body's others."""
     g = REFERENCE
     pose, covariance, A = np.empty(3), np.empty((10, 10)), np.empty((3, 3))
     pose[0], pose[1], pose[2] = se2_compose(mean[g], mean[g + 1], mean[g + 2], mean[0], mean[1], mean[2])

@@ -81,7 +81,7 @@ def observe_pose(mean, z, R):
 
 @kernel
 def observe_relative_pose(mean, z, R, k, at):
-    """Innovation -e, e = log(z⁻¹ · K⁻¹ · X), K, X the poses at k and `at`, linearised where it vanishes: X · exp(-e)."""
+    """Innovation -e, e = log(z⁻¹ · K⁻¹ · X), K, X the poses at k and `at`, linearised where it is 0: at X · exp(-e)."""
     x, y, t = se2_between(mean[k], mean[k + 1], mean[k + 2], mean[at], mean[at + 1], mean[at + 2])
     if R[2, 2] == np.inf:
         z[2] = t

@@ -4,8 +4,8 @@ A Rauch–Tung–Striebel smoother in the form of Bryson and Frazier, which need
 pose has just been cloned or made the reference. Going back over what the filter did, λ and Λ gather
 what was learned later, λ ← Mᵀ λ - Hᵀ S⁻¹ r and Λ ← Mᵀ Λ M + Hᵀ S⁻¹ H; the smoothed error is -P λ, its covariance
 P - P Λ P. The change of the reference is a linear map of the errors like any other. The smoother looks back over a
-filter of its own, in which every measurement corrects the reference's pose too, as a smoother's theory wants it: what that
-does is bounded by what the last references were wrong by.
+filter of its own, in which every measurement corrects the reference's pose too, as the theory of smoothing demands:
+what that does is bounded by what the last references were wrong by.
 
 Source: Bierman 1973, "Fixed interval smoothing with discrete measurements", the modified Bryson–Frazier smoother.
 """

@@ -60,7 +60,7 @@ class Tally(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What became of one event. A pose clone alone has dof 0; so has what was refused before it was compared (nis 0)."""
+    """What became of one event. A pose clone has dof 0; so has what was refused before it was compared (nis 0)."""
 
     stamp: float
     source: str

@@ -37,7 +37,7 @@ _OWN = 0.05  # at least this part of a match's variance is its own
 # keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
 _SAME = 0.7
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
-_LOST = 10.0  # [m] likewise where there is a keyframe, which a scan is hardly matched to from further off
+_LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _ROWS = np.array([0, 0, 1])  # translations and turn
 _NOTHING_ADDED = np.zeros((2, 3, 3))
 
