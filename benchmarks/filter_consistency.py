@@ -15,7 +15,7 @@ from scipy.special import gammaincinv
 
 from longreach.estimation import motion
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, FusionState, in_order, init, step
+from longreach.estimation.fusion import FusionState, Keyframe, in_order, init, step
 from longreach.estimation.observation import PlanarImu
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -38,12 +38,12 @@ def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
     P = state.belief.covariance
     measured = np.diag(P) > 0
     error[measured] = _noise(P[np.ix_(measured, measured)], rng)
-    return motion.retract(state.history[-1].mean, error)
+    mean = np.concatenate([state.belief.pose, state.history[-1].mean[3:13]])
+    return motion.retract(mean, error)
 
 
 def _error(state: FusionState, truth: np.ndarray) -> np.ndarray:
-    mean = state.history[-1].mean
-    return np.concatenate([se2.difference(mean[:3], truth[:3]), truth[3:10] - mean[3:10]])
+    return np.concatenate([se2.difference(state.belief.pose, truth[:3]), truth[3:10] - state.history[-1].mean[3:10]])
 
 
 def _nees(error: np.ndarray, P: np.ndarray, components: list[int]) -> float:
@@ -103,7 +103,7 @@ def planar_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
                 events = [RelativePoseMeasurement(keyframe_stamp, stamp, z, MATCH, "lidar")]
             if stamp - keyframe_stamp > 0.95:
                 keyframe, keyframe_stamp = x, stamp
-                events.append(Anchor(stamp, "lidar"))
+                events.append(Keyframe(stamp, "lidar"))
         for event in in_order(events):
             state, _ = step(state, event)
     return state, truth

@@ -5,7 +5,7 @@ import numpy as np
 
 from longreach.estimation import motion
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor
+from longreach.estimation.fusion import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement, TwistMeasurement
 
@@ -29,7 +29,7 @@ def noise(rng, R=SCAN):
     return np.linalg.cholesky(R) @ rng.standard_normal(len(R))
 
 
-def events_of(rng, shares=True):
+def events_of(rng, shares=True, scans=SCANS, every=EVERY):
     """Scans at 10 Hz against keyframes: events, the last true state, and the true pose at each scan from the first.
 
     shares: what matches have in common is said, and a keyframe's anchor knows its match.
@@ -37,8 +37,8 @@ def events_of(rng, shares=True):
     x, events, truth = np.zeros(13), [], [np.zeros(3)]
     x[3:6], x[6:9] = rng.normal(size=3), rng.normal(size=3) * CONFIG.acceleration_deviation
     keyframe, since = se2.retract(x[:3], noise(rng)), 0.0
-    events.append(Anchor(0.0, "lidar"))
-    for i in range(1, SCANS + 1):
+    events.append(Keyframe(0.0, "lidar"))
+    for i in range(1, scans + 1):
         x, now = motion.draw(CONFIG.motion, x, 0.1, rng), 0.1 * i
         truth.append(x[:3])
         common = noise(rng, SAME * SCAN)
@@ -47,8 +47,8 @@ def events_of(rng, shares=True):
         shared = A @ SCAN @ A.T
         match = RelativePoseMeasurement(since, now, z, SCAN + shared, "lidar", None, shared if shares else None)
         events.append(TwistMeasurement(now, x[3:6] + noise(rng, WHEELS), WHEELS, "wheels"))
-        if i % EVERY == 0:
-            events += [Anchor(now, "lidar", match)] if shares else [match, Anchor(now, "lidar")]
+        if i % every == 0:
+            events += [Keyframe(now, "lidar", match)] if shares else [match, Keyframe(now, "lidar")]
             keyframe, since = se2.retract(x[:3], common + noise(rng, (1.0 - SAME) * SCAN)), now
         else:
             events.append(match)

@@ -6,8 +6,11 @@ import pytest
 from longreach.app import localizer
 from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import estimate
+from longreach.app.start import start_pose
 from longreach.control.hardware import Readings
+from longreach.geometry import se2
 from longreach.io.config import load_description
+from longreach.measurement import PoseMeasurement
 from longreach.sim.kinematic import make_recording
 
 _LATENCY = {"wheels": 0.002, "scans": 0.03, "imu": 0.004}
@@ -59,6 +62,30 @@ def test_online_is_offline(thing, recording, sources):
         row = online[float(replayed.stamps[i])]
         np.testing.assert_allclose(row.pose, replayed.poses[i], atol=1e-6)
         np.testing.assert_allclose(row.covariance, replayed.covariance[i], atol=1e-9)
+
+
+def test_online_is_offline_on_the_map_and_fixes_leave_odom_alone(thing, recording):
+    clock, poses = recording.truth.clock[::25].tolist(), recording.truth.poses[::25]
+    P = np.diag([0.01, 0.01, 0.02]) ** 2
+    moved = [se2.compose(np.array([5.0, -2.0, 1.0]), pose) for pose in poses]
+    fixes = [PoseMeasurement(stamp, pose, P, "fixes") for stamp, pose in zip(clock, moved, strict=True)]
+    config = EstimateConfig(sources=("wheels", "imu", "fixes"), evaluation=EvaluationConfig(align="none"))
+    replayed = estimate(recording.replace(fixes=tuple(fixes)), thing, config).trajectories
+    first = min(recording.wheels[0].stamp, recording.imu[0].stamp, clock[0])
+    state, rows, waiting = localizer.init(thing, first, np.zeros(3), config, start_pose(fixes, (), first)), [], fixes
+    for readings in _readings(recording):
+        before, new = state, [fix for fix in waiting if fix.stamp + 0.02 <= readings.stamp]
+        waiting = waiting[len(new) :]
+        state, _ = localizer.step(state, readings, new)
+        rows += localizer.settled_on_map(before, state)
+    online = {row.stamp: row for row in [*rows, *localizer.settled_on_map(state, None)]}
+    path = replayed["localized"]
+    for stamp, pose, covariance in list(zip(path.stamps.tolist(), path.poses, path.covariance, strict=True))[5:-5]:
+        np.testing.assert_allclose(online[stamp].pose, pose, atol=1e-6)
+        np.testing.assert_allclose(online[stamp].covariance, covariance, atol=1e-9)
+    now = state.filter.stamp
+    np.testing.assert_allclose(state.belief(now).pose, replayed["fused"].poses[-1], atol=0.01)
+    np.testing.assert_allclose(state.belief_on_map(now).pose, moved[-1], atol=0.1)
 
 
 def test_the_belief_goes_ahead_of_the_newest_measurement_and_grows_less_sure(thing, recording):

@@ -27,12 +27,6 @@ def position_fixes(path, stamps, rng=None):
     return [PoseMeasurement(float(t), np.array([*p[:2], 0.0]), R) for t, p in zip(stamps, poses, strict=True)]
 
 
-def test_without_fixes_it_is_the_identity_and_exact(path):
-    pose, covariance = start_pose([], [path], 0.0)
-    np.testing.assert_array_equal(pose, 0.0)
-    assert covariance is None
-
-
 def test_a_fix_with_heading_is_the_start_with_its_covariance_in_the_body_frame():
     R = np.diag([0.01, 0.04, 0.001])
     pose, covariance = start_pose([PoseMeasurement(0.0, np.array([1.0, 2.0, np.pi / 2]), R)], [], 0.0)

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
 from longreach.estimation import _kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, init, step
+from longreach.estimation.fusion import Keyframe, PoseClone, init, step
 from longreach.estimation.motion import MotionModel
 from longreach.estimation.observation import PlanarImu, observe
 from longreach.geometry import se2
@@ -19,6 +21,11 @@ def spd(rng, n, scale):
     return scale**2 * (A @ A.T / n + 0.1 * np.eye(n))
 
 
+def all_corrected(state):
+    """The filter that a smoother looks back over: fixes and all else correct the whole state."""
+    return replace(state, history=(state.history[-1]._replace(links=()),))
+
+
 def textbook_chain(dt, variance, tau=0.5):
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau]])
     block = expm(np.block([[-A, np.diag([0.0, 0.0, 2.0 * variance / tau])], [np.zeros((3, 3)), A.T]]) * dt)
@@ -27,24 +34,24 @@ def textbook_chain(dt, variance, tau=0.5):
 
 
 def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
-    mean, P = np.zeros(13), spd(rng, 13, 0.3)
+    mean, P = np.zeros(16), spd(rng, 16, 0.3)
     placed = -1
     for k in range(10_000):
         mean, P = ekf.predict(MODEL, mean, P, float(10.0 ** rng.uniform(-4, 0.3)))
         if k == 100:
-            mean, P = ekf.clone(mean, P, 0)
+            mean, P = ekf.clone(mean, P, 16)
             placed = k
         kind = k % 4 if placed >= 0 else k % 3
         R3 = spd(rng, 3, 10.0 ** rng.uniform(-4, 0))
         measurement = (
             TwistMeasurement(0.0, mean[3:6] + rng.normal(size=3) * 0.1, R3),
-            PoseMeasurement(0.0, mean[:3] + rng.normal(size=3) * 0.1, R3),
+            PoseMeasurement(0.0, se2.compose(mean[13:16], mean[:3]) + rng.normal(size=3) * 0.1, R3),
             PlanarImu(0.0, 0.1, rng.normal(size=2) * 0.1, np.array([0.2, -0.3]), 1e-4, R3[:2, :2]),
-            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[13:16], mean[:3]) if placed >= 0 else np.zeros(3), R3),
+            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if placed >= 0 else np.zeros(3), R3),
         )[kind]
-        (r, H, R), fault = observe(mean, measurement, 0 if kind == 3 else None)
+        (r, H, R), fault = observe(mean, measurement, *((16,) if kind == 3 else ()))
         assert not fault
-        mean, P, nis, scale = ekf.correct(mean, P, r, H, R)
+        mean, P, nis, scale = ekf.correct(mean, P, r, H, R, gain=("all", "local", "fix")[k % 7 % 3])
         assert np.isfinite(nis)
         assert scale == 1.0
         if k % 10 == 0 or 100 <= k < 110:
@@ -60,7 +67,7 @@ def test_without_rotation_it_is_the_linear_kalman_filter(rng):
     config = FilterConfig(
         acceleration_deviation=(1.0, 0.7, STILL), initial_twist_deviation=(0.5, 0.4, STILL), gate_mode="none", history=0
     )
-    state = init(0.0, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.01, 0.0]), config)
+    state = all_corrected(init(0.0, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.01, 0.0]), config))
     x = np.array([1.0, 0.0, 0.0, 2.0, 0.0, 0.0])  # position, velocity, acceleration of x, then of y
     P = np.diag([0.04, 0.25, 1.0, 0.01, 0.16, 0.49])
     now = 0.0
@@ -90,7 +97,8 @@ def test_without_rotation_it_is_the_linear_kalman_filter(rng):
         x, P = x + K @ innovation, (np.eye(6) - K @ H) @ P
         assert correction.nis == pytest.approx(innovation @ np.linalg.solve(S, innovation), rel=1e-6)
         order = [0, 3, 6, 1, 4, 7]
-        np.testing.assert_allclose(state.history[-1].mean[order], x, atol=1e-7)
+        world = np.concatenate([state.belief.pose, state.history[-1].mean[3:]])
+        np.testing.assert_allclose(world[order], x, atol=1e-7)
         np.testing.assert_allclose(state.belief.covariance[np.ix_(order, order)], P, rtol=1e-6, atol=1e-9)
 
 
@@ -100,14 +108,14 @@ def test_relative_poses_without_process_information_are_dead_reckoning(rng):
     )
     start, P0 = np.array([1.0, -2.0, 2.5]), np.diag([0.01, 0.02, 0.005])
     state = init(0.0, start, P0, config)
-    state, _ = step(state, Anchor(0.0, "wheels"))
+    state, _ = step(state, PoseClone(0.0, "wheels"))
     pose, covariance, now = start, P0, 0.0
     for _ in range(60):
         stamp = now + float(rng.uniform(0.01, 2.0))  # what the stamps say does not matter
         z = np.array([0.1, 0.02, 0.1]) * rng.normal(size=3)
         R = spd(rng, 3, 1e-3)
         state, _ = step(state, RelativePoseMeasurement(now, stamp, z, R, "wheels"))
-        state, _ = step(state, Anchor(stamp, "wheels"))
+        state, _ = step(state, PoseClone(stamp, "wheels"))
         now = stamp
         pose = se2.compose(pose, z)
         A = se2.adjoint(se2.inverse(z))
@@ -116,24 +124,24 @@ def test_relative_poses_without_process_information_are_dead_reckoning(rng):
     np.testing.assert_allclose(state.belief.pose_covariance, covariance, rtol=1e-3, atol=1e-6)
 
 
-def test_two_matches_to_one_anchor_share_its_error():
-    """On a line: against batch least squares over the poses at the anchor and at both matches."""
+def test_two_matches_to_one_keyframe_share_its_error():
+    """On a line: against batch least squares over the poses at the keyframe and at both matches."""
     dt, (Phi, Q) = 0.5, textbook_chain(0.5, 1.0)
     config = FilterConfig(
         acceleration_deviation=(1.0, 1.0, STILL), initial_twist_deviation=(0.5, 0.5, STILL), gate_mode="none", history=0
     )
     prior, r, fix = np.diag([0.3**2, 0.5**2, 1.0]), 0.05**2, 0.1**2
     z1, z2, z_fix = 0.2, 0.5, 0.9
-    state = init(0.0, np.zeros(3), np.diag([0.3**2, 0.3**2, 0.0]), config)
+    state = all_corrected(init(0.0, np.zeros(3), np.diag([0.3**2, 0.3**2, 0.0]), config))
     R = np.diag([r, r, 1e-6])
     for event in (
-        Anchor(0.0, "lidar"),
+        Keyframe(0.0, "lidar"),
         RelativePoseMeasurement(0.0, dt, np.array([z1, 0.0, 0.0]), R, "lidar"),
         RelativePoseMeasurement(0.0, 2 * dt, np.array([z2, 0.0, 0.0]), R, "lidar"),
         PoseMeasurement(2 * dt, np.array([z_fix, 0.0, 0.0]), np.diag([fix, np.inf, np.inf])),
     ):
-        if isinstance(event, PoseMeasurement):  # no number of matches makes the pose surer than their anchor
-            assert state.history[-1].P[0, 0] > prior[0, 0]
+        if isinstance(event, PoseMeasurement):  # no number of matches makes the pose surer than their keyframe
+            assert state.belief.covariance[0, 0] > prior[0, 0]
         state, _ = step(state, event)
     information, vector = np.zeros((9, 9)), np.zeros(9)
     information[:3, :3] += np.linalg.inv(prior)
@@ -149,12 +157,13 @@ def test_two_matches_to_one_anchor_share_its_error():
         information += np.outer(J, J) / variance
         vector += J * z / variance
     P, x = np.linalg.inv(information), np.linalg.solve(information, vector)
-    now, mean = state.history[-1].P, state.history[-1].mean
-    assert mean[0] == pytest.approx(x[6], abs=1e-7)
-    assert now[0, 0] == pytest.approx(P[6, 6], rel=1e-6)
-    assert mean[13] == pytest.approx(x[0], abs=1e-7)  # the fix corrects the anchor too
-    assert now[13, 13] == pytest.approx(P[0, 0], rel=1e-6)
-    assert now[13, 0] == pytest.approx(P[0, 6], rel=1e-6)
+    last = state.history[-1]
+    assert state.belief.pose[0] == pytest.approx(x[6], abs=1e-7)
+    assert state.belief.covariance[0, 0] == pytest.approx(P[6, 6], rel=1e-6)
+    keyframe, i = np.zeros(len(last.mean)), [13, 16]  # the fix corrects the keyframe too: the reference, and the clone
+    keyframe[i] = 1.0
+    assert keyframe @ last.mean == pytest.approx(x[0], abs=1e-7)
+    assert keyframe @ last.P @ keyframe == pytest.approx(P[0, 0], rel=1e-6)
 
 
 def test_inflation_brings_the_nis_to_the_gate(rng):
@@ -187,20 +196,20 @@ def test_what_has_no_innovation_covariance_changes_nothing():
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, 3.0])
 def test_a_pose_that_nothing_was_known_of_is_as_measured(turn):
-    P = np.diag([1e4] * 13)
+    P = block_diag(np.diag([1e4] * 13), np.zeros((3, 3)))
     R = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 3e-4, 5e-5], [2e-5, 5e-5, 1e-4]])
-    mean, z = np.zeros(13), np.array([3.0, -1.0, turn])
+    mean, z = np.zeros(16), np.array([3.0, -1.0, turn])
     (r, H, R_z), _ = observe(mean, PoseMeasurement(0.0, z, R))
     absolute = ekf.correct(mean, P, r, H, R_z)
     np.testing.assert_allclose(absolute.mean[:3], z, atol=1e-6)
     B = block_diag([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], 1.0)
     np.testing.assert_allclose(B @ absolute.covariance[:3, :3] @ B.T, R, atol=1e-9)
-    # relative to an exact anchor, the covariance is in the frame of the pose measured
-    mean, P = np.zeros(16), block_diag(P, np.zeros((3, 3)))
-    mean[13:] = [-1.0, 2.0, 0.5]
-    (r, H, R_z), _ = observe(mean, RelativePoseMeasurement(0.0, 0.0, z, R), 0)
+    # relative to an exact clone, the covariance is in the frame of the pose measured
+    mean, P = np.zeros(19), block_diag(P, np.zeros((3, 3)))
+    mean[16:] = [-1.0, 2.0, 0.5]
+    (r, H, R_z), _ = observe(mean, RelativePoseMeasurement(0.0, 0.0, z, R), 16)
     relative = ekf.correct(mean, P, r, H, R_z)
-    np.testing.assert_allclose(se2.difference(se2.compose(mean[13:], z), relative.mean[:3]), 0.0, atol=1e-6)
+    np.testing.assert_allclose(se2.difference(se2.compose(mean[16:], z), relative.mean[:3]), 0.0, atol=1e-6)
     np.testing.assert_allclose(relative.covariance[:3, :3], R, atol=1e-9)
 
 

@@ -7,7 +7,7 @@ import pytest
 from keyframe_events import unchecked
 
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, in_order, init, step
+from longreach.estimation.fusion import Keyframe, PoseClone, in_order, init, step
 from longreach.estimation.slip import NO_SLIP, corrected, way
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
@@ -89,7 +89,7 @@ def test_between_scans_the_pose_goes_where_the_base_slides(rng, slides):
 def test_a_match_beyond_the_gate_tells_of_no_slip(mode):
     config = FilterConfig(gate_mode=mode, noise_memory=300.0)
     state, P = init(0.0, np.zeros(3), None, config), 1e-6 * np.eye(3)
-    for event in (Anchor(0.0, "wheels"), Anchor(0.0, "lidar")):
+    for event in (PoseClone(0.0, "wheels"), Keyframe(0.0, "lidar")):
         state, _ = step(state, event)
     state, _ = step(state, RelativePoseMeasurement(0.0, 0.02, np.zeros(3), P, "wheels", P))
     before = state.history[-1].slip
@@ -104,7 +104,7 @@ def _driven(rng, config, slides):
     """How far off scans find the pose, RMS sideways [m], on a drive that slides sideways, and the slip at the end."""
     counted, slipped, scan = np.array([0.8, 0.0, 0.1]), np.array([0.8, slides, 0.1]), np.diag([1e-3, 1e-3, 3e-4]) ** 2
     steps, reading = np.diag([2e-3, 2e-3, 4e-3]) ** 2, np.diag([4e-3, 5e-3, 3e-4]) ** 2
-    events = [Anchor(0.0, "wheels"), Anchor(0.0, "lidar")]
+    events = [PoseClone(0.0, "wheels"), Keyframe(0.0, "lidar")]
     for before, now in pairwise(0.02 * np.arange(401)):
         z = se2.retract(se2.exp(0.02 * counted), 2e-4 * rng.normal(size=3))
         events.append(RelativePoseMeasurement(before, now, z, steps, "wheels", reading))
@@ -112,7 +112,7 @@ def _driven(rng, config, slides):
         key = PERIOD * (i // 40 * 40)
         seen = se2.retract(se2.exp((now - key) * slipped), rng.multivariate_normal(np.zeros(3), scan))
         match = RelativePoseMeasurement(key, now, seen, 2 * scan, "lidar", None, scan)
-        events.append(Anchor(now, "lidar", match) if i % 40 == 39 else match)
+        events.append(Keyframe(now, "lidar", match) if i % 40 == 39 else match)
     state, off = init(0.0, np.zeros(3), None, config), []
     for event in in_order(events):
         state, correction = step(state, event)

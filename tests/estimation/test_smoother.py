@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from longreach.errors import EstimationError
 from longreach.estimation import _kernels, offline
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, in_order, init
+from longreach.estimation.fusion import Keyframe, in_order, init
 from longreach.estimation.smoother import smooth
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -44,7 +44,7 @@ def test_without_rotation_it_is_batch_least_squares(rng):
         history=0.0,
     )
     stamps = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 0.4, 9))]).tolist()
-    events, rows, values, variances = [Anchor(stamps[2], "lidar")], [], [], []
+    events, rows, values, variances = [Keyframe(stamps[2], "lidar")], [], [], []
     for i, stamp in enumerate(stamps):
         z, row = rng.normal(), np.zeros(3 * len(stamps))
         if i in (0, 4, 8):
@@ -73,11 +73,11 @@ def middle_error(rng, config):
     return filtered, smooth(state, in_order(events))
 
 
-def test_it_is_never_less_sure_than_the_filter_and_ends_with_it(rng):
+def test_it_is_never_less_sure_than_the_filter_and_ends_near_it(rng):
     filtered, smoothed = middle_error(rng, CONFIG)
     np.testing.assert_array_equal(smoothed.stamps, filtered.stamps)
-    np.testing.assert_allclose(smoothed.poses[-1], filtered.poses[-1], atol=1e-12)
-    np.testing.assert_allclose(smoothed.covariance[-1], filtered.covariance[-1], atol=1e-14)
+    xi = se2.difference(smoothed.poses[-1], filtered.poses[-1])  # each leaves another part of what is told unused
+    assert xi @ np.linalg.solve(filtered.covariance[-1], xi) < chi2.ppf(0.9, 3)
     assert np.all(np.trace(smoothed.covariance, axis1=1, axis2=2) <= np.trace(filtered.covariance, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(smoothed.covariance).min() > -1e-12
 

@@ -54,6 +54,9 @@ class EstimateConfig(BaseModel):
     lidar: LidarConfig = LidarConfig()
     filter: FilterConfig = FilterConfig(gate_mode="inflate", history=0.0)
     smooth: bool = Field(default=False, description="Whether to look back over the whole run as well: `smoothed`.")
+    compare: bool = Field(
+        default=False, description="Whether to run LIDAR odometry alone as well where nothing is compared with it."
+    )
     evaluation: EvaluationConfig = EvaluationConfig()
 
 
@@ -61,7 +64,7 @@ def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recor
     """Return the filter's settings for one run.
 
     The robot's limits say how hard it accelerates, the scans' rhythm how far stamps can be trusted, a gyro that the
-    wheels do not lead the heading; a pause in the recording may be as long as the recording.
+    heading is not coupled to the wheels; a pause in the recording may be as long as the recording.
     """
     stamps = [records[i].stamp for records in (recording.wheels, recording.scans) if records for i in (0, -1)]
     rhythm = np.array([record.stamp for record in recording.scans or recording.wheels])
@@ -74,9 +77,9 @@ def filter_for(config: EstimateConfig, robot: RobotDescription, recording: Recor
     for key, value in _LEARNED.items():
         if key not in config.filter.model_fields_set:
             changes[key] = value
-    if "led_by_counter" not in config.filter.model_fields_set:
+    if "coupled_to_wheels" not in config.filter.model_fields_set:
         gyro = bool(recording.imu) and (config.sources is None or "imu" in config.sources)
-        changes["led_by_counter"] = (True, True, not gyro)
+        changes["coupled_to_wheels"] = (True, True, not gyro)
     if robot.imu is not None:
         for key, value in (
             ("gyro_bias_walk", robot.imu.gyro_bias_walk),

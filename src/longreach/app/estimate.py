@@ -17,7 +17,7 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
-from longreach.app.guides import counter_events, guided_odometry, lidar_events, wheel_guides
+from longreach.app.filter_events import lidar_events, wheel_events
 from longreach.app.start import start_pose
 from longreach.errors import EstimationError
 from longreach.estimation import fusion, offline
@@ -26,6 +26,7 @@ from longreach.estimation.observation import PlanarImu, planar_imu
 from longreach.estimation.smoother import smooth
 from longreach.evaluation.consistency import consistency_metrics
 from longreach.measurement import Recording, RelativePoseMeasurement
+from longreach.odometry import motion_prior
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import lidar_odometry
 from longreach.odometry.scan_match import ScanMatch
@@ -33,6 +34,8 @@ from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
+
+_FILTERED = ("fused", "localized", "smoothed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,9 @@ class Estimate:
 
     @property
     def trajectories(self) -> Mapping[str, PoseTrajectory]:
-        """`fused`, and as far as there are such sensors `wheels` (raw integration), `lidar` (LIDAR alone), `truth`."""
+        """`fused` (frame odom), with fixes `localized` (frame map), and as far as there are such sensors `wheels` (raw
+        integration), `lidar` (LIDAR alone), `truth`.
+        """
         return self.evaluation.trajectories
 
     @property
@@ -78,7 +83,7 @@ def estimate(
 ) -> Estimate:
     """Estimate where the base went, and how well that agrees with the truth where there is one.
 
-    The truth is used for evaluation alone. Estimates start at the identity, or where absolute fixes put them.
+    The truth is used for evaluation alone. Estimates start at the identity; `localized` is where absolute fixes put it.
 
     Arguments:
         config: None takes the defaults. truth: None takes the recording's own, where it has one.
@@ -94,40 +99,53 @@ def estimate(
     sources = _sources(recording, config)
 
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
-    alone, matches = _matches(recording, robot, config, wheels.measurements if "wheels" in sources else (), tell)
+    compared = config.compare or truth is not None or recording.truth is not None or relations is not None
+    prior = wheels.measurements if "wheels" in sources else ()
+    alone, matches = _matches(recording, robot, config, prior, compared, tell)
     dead_reckoning = {
-        "lidar": integrate(_found(alone), [scan.stamp for scan in recording.scans]),
+        "lidar": integrate(_found(alone or ()), [scan.stamp for scan in recording.scans]),
         "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
     }
 
-    odometry = {"wheels": counter_events(wheels.measurements), "lidar": lidar_events(matches)}
+    odometry = {"wheels": wheel_events(wheels.measurements), "lidar": lidar_events(matches)}
     events = _events(recording, robot, sources, odometry)
-    start = _start(recording, sources, dead_reckoning, events[0].stamp, config)
+    start = fusion.init(events[0].stamp, np.zeros(3), None, config.filter)
     state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
-
-    back = {"smoothed": _at_rows(smooth(start, events), recording)} if config.smooth else {}
+    estimated, judged, tallies = {"fused": fused}, {"fused": corrections}, state.counters
+    if "fixes" in sources:  # by a filter of its own, so that no fix moves the smooth path
+        paths = {**dead_reckoning, "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans])}
+        start, events = _with_fixes(recording, sources, paths, events, config)
+        state, estimated["localized"], all_ = offline.run(start, events, lambda i: tell("fusion", i / len(events)))
+        names = {fix.source for fix in recording.fixes}
+        judged["localized"] = [correction for correction in all_ if correction.source in names]
+        tallies |= {name: state.counters[name] for name in names}
+    if config.smooth:
+        estimated["smoothed"] = smooth(start, events)
 
     tell("evaluation", 0.0)
-    trajectories = _as_recorded({"fused": _at_rows(fused, recording), **back, **dead_reckoning}, recording)
+    rows = {name: _at_rows(path, recording) for name, path in estimated.items()}
+    trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, corrections, _found(matches))
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, state), *evaluation.remarks)
+    metrics = _with_consistency(evaluation, judged, _found(matches))
+    corrections = [correction for name in judged for correction in judged[name]]
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, tallies), *evaluation.remarks)
     return Estimate(
         recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
     )
 
 
-def _start(
+def _with_fixes(
     recording: Recording,
     sources: Sequence[Source],
     dead_reckoning: Mapping[str, PoseTrajectory],
-    begin: float,
+    events: Sequence[Event],
     config: EstimateConfig,
-) -> fusion.FusionState:
-    """Return the filter at its start [s], where fixes put it if there are any."""
-    fixes = recording.fixes if "fixes" in sources else ()
-    pose, covariance = start_pose(fixes, [path for name, path in dead_reckoning.items() if name in sources], begin)
-    return fusion.init(begin, pose, covariance, config.filter)
+) -> tuple[fusion.FusionState, list[Event]]:
+    """Return a filter that starts on the map, where fixes put it, and the events with them."""
+    events = fusion.in_order([*events, *recording.fixes])
+    begin = events[0].stamp
+    paths = [path for name, path in dead_reckoning.items() if name in sources]
+    return fusion.init(begin, *start_pose(recording.fixes, paths, begin), config.filter), events
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -161,9 +179,10 @@ def _matches(
     robot: RobotDescription,
     config: EstimateConfig,
     wheels: Sequence[RelativePoseMeasurement],
+    alone: bool,
     tell: Progress,
-) -> tuple[tuple[ScanMatch, ...], tuple[ScanMatch, ...]]:
-    """Match each scan against its keyframe, by LIDAR alone, and for the filter with the wheels as a guide.
+) -> tuple[tuple[ScanMatch, ...] | None, tuple[ScanMatch, ...]]:
+    """Match the scans by LIDAR alone, where that is asked for, and for the filter with a prior from the wheels.
 
     Of scans of one stamp the last is taken, for between them is no time to move.
     """
@@ -171,14 +190,14 @@ def _matches(
     if any(later.stamp < scan.stamp for scan, later in pairwise(scans)):
         raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
     some = [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
-    mount, runs = sensor_mount(recording, robot, "lidar"), 2 if wheels else 1
-    alone = lidar_odometry(some, mount, config.lidar, lambda i: tell("LIDAR odometry", i / (runs * len(some))))
-    if not wheels:
-        return alone, alone
-    guides = wheel_guides(wheels, [scan.stamp for scan in some])
-    return alone, guided_odometry(
-        some, mount, config.lidar, guides, lambda i: tell("LIDAR odometry", 0.5 + 0.5 * i / len(some))
-    )
+    mount, runs = sensor_mount(recording, robot, "lidar"), 2 if wheels and alone else 1
+
+    def odometry(priors: Sequence[np.ndarray | None] | None, run: int) -> tuple[ScanMatch, ...]:
+        show = lambda i: tell("LIDAR odometry", (run + i / len(some)) / runs)  # noqa: E731
+        return lidar_odometry(some, mount, config.lidar, show, priors)
+
+    matches = odometry(motion_prior.between_scans(wheels, [scan.stamp for scan in some]) if wheels else None, 0)
+    return odometry(None, 1) if wheels and alone else None if wheels else matches, matches
 
 
 def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:
@@ -195,8 +214,6 @@ def _events(
     events: list[Event] = []
     if "imu" in sources:
         events += _imu(recording, robot)
-    if "fixes" in sources:
-        events += recording.fixes
     for source in sources:
         events += odometry.get(source, ())
     if not events:
@@ -219,14 +236,17 @@ def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]
 
 
 def _with_consistency(
-    evaluation: Evaluation, corrections: Sequence[Correction], matches: Sequence[RelativePoseMeasurement]
+    evaluation: Evaluation,
+    judged: Mapping[str, Sequence[Correction]],
+    matches: Sequence[RelativePoseMeasurement],
 ) -> Metrics:
-    """Add the NIS of each source to the fused metrics, and the NEES of single matches to those of the LIDAR."""
+    """Add the NIS of each source to the metrics of what it corrects, and the NEES of matches to those of the LIDAR."""
     metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
-    for source, consistency in innovations(corrections).items():
-        metrics.setdefault("fused", {}).update(consistency_metrics(f"nis_{source}", consistency))
+    for name, corrections in judged.items():
+        for source, consistency in innovations(corrections).items():
+            metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
     truth = evaluation.trajectories.get("truth")
-    if matches and truth is not None and truth.has_heading:
+    if matches and "lidar" in metrics and truth is not None and truth.has_heading:
         metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
     return metrics
 
@@ -245,19 +265,19 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     """Give the paths that there are the stamps as recorded, in the order of all tables."""
     return {
         name: PoseTrajectory(recording.as_recorded(path.clock), path.poses, path.covariance, path.clock)
-        for name, path in ((name, paths[name]) for name in ("fused", "smoothed", "wheels", "lidar") if name in paths)
-        if name in ("fused", "smoothed") or len(path) > 1
+        for name, path in ((name, paths[name]) for name in (*_FILTERED, "wheels", "lidar") if name in paths)
+        if name in _FILTERED or len(path) > 1
     }
 
 
-def _remarks(breaks: int, matches: Sequence[ScanMatch], state: fusion.FusionState) -> list[str]:
+def _remarks(breaks: int, matches: Sequence[ScanMatch], tallies: Mapping[str, fusion.Tally]) -> list[str]:
     remarks = []
     if breaks:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
     failed = [match for match in matches if match.measurement is None]
     if failed:
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
-    for source, tally in state.counters.items():
+    for source, tally in tallies.items():
         if tally.gated or tally.refused or tally.inflated:
             total = tally.used + tally.gated + tally.refused
             remarks.append(

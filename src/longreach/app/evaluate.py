@@ -64,7 +64,7 @@ def evaluate(
             continue
         metrics[name] = {"path_length": metric(path_length(trajectory), "m")}
         if truth is not None:
-            metrics[name] |= against_truth(trajectory, truth, config)
+            metrics[name] |= against_truth(trajectory, truth, config, on_map=name == "localized")
         if relations is not None:
             e = compared[name] = relation_errors(trajectory, *relations, longest_gap=config.longest_gap)
             metrics[name] |= relation_metrics(e, config.relations_span) | relation_metrics(e)
@@ -104,7 +104,7 @@ def _read_estimate(path: Path) -> dict[str, PoseTrajectory]:
                 P = arrays.get(f"{name}_covariance")
                 if P is not None and P.shape == (len(trajectory), 3, 3):
                     found[name] = replace(trajectory, covariance=P)
-    order = ["fused", "wheels", "lidar"]  # the order of all tables and legends
+    order = ["fused", "localized", "smoothed", "wheels", "lidar"]  # the order of all tables and legends
     return dict(sorted(found.items(), key=lambda item: (order.index(item[0]) if item[0] in order else 9, item[0])))
 
 
@@ -113,8 +113,13 @@ def path_length(trajectory: PoseTrajectory) -> float:
     return float(np.linalg.norm(np.diff(trajectory.poses[:, :2], axis=0), axis=1).sum())
 
 
-def against_truth(trajectory: PoseTrajectory, truth: PoseTrajectory, config: EvaluationConfig) -> dict[str, Metric]:
-    """Return ATE; with headings also RPE, the mean squared errors of figure 6.3, and NEES where there is covariance."""
+def against_truth(
+    trajectory: PoseTrajectory, truth: PoseTrajectory, config: EvaluationConfig, on_map: bool = False
+) -> dict[str, Metric]:
+    """Return ATE; with headings also RPE, the mean squared errors of figure 6.3, and NEES where there is covariance.
+
+    on_map: the trajectory is in the truth's frame, where its NEES is taken.
+    """
     pairs = associate(trajectory, truth, config.longest_gap)
     found = errors.absolute_metrics(errors.ate(pairs, config.align))
     if not pairs.has_heading:
@@ -129,7 +134,7 @@ def against_truth(trajectory: PoseTrajectory, truth: PoseTrajectory, config: Eva
     found["final_position_error"] = metric(float(np.sqrt(squared.position[-1])), "m")
     found["final_heading_error"] = metric(float(np.degrees(np.sqrt(squared.heading[-1]))), "deg")
     if pairs.covariance is not None:
-        found |= consistency_metrics("nees", nees(pose_errors(pairs, config.align != "none")))
+        found |= consistency_metrics("nees", nees(pose_errors(pairs, config.align != "none" and not on_map)))
     return found
 
 

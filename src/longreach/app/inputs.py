@@ -42,6 +42,7 @@ def open_run(
     fix_sigma: float = 0.05,
     fix_period: float = 0.0,
     smooth: bool = False,
+    compare: bool = False,
     progress: Progress | None = None,
 ) -> Run:
     """Read everything, the small files first, so that what is wrong with them is said at once.
@@ -54,8 +55,8 @@ def open_run(
     if sources is not None:
         names = [name.strip() for name in sources.split(",") if name.strip()]
         settings = validated(EstimateConfig, settings.model_dump(exclude_unset=True) | {"sources": names}, "--sources")
-    if smooth:
-        settings = settings.model_copy(update={"smooth": True})
+    asked = {name: True for name, given in (("smooth", smooth), ("compare", compare)) if given}
+    settings = settings.model_copy(update=asked)
     compared = Relations(*read_relations(relations)) if relations is not None else None
     is_file = truth is not None and Path(truth).exists()
     if truth is not None and not is_file and "." in truth:  # no topic has a dot in its name

@@ -13,21 +13,20 @@ from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig, filter_for
 from longreach.app.estimate import sensor_mount
-from longreach.app.guides import Trust, counter_events, guided_step, match_events, wheel_guide
+from longreach.app.filter_events import match_events, wheel_events
 from longreach.control.hardware import Readings
 from longreach.estimation import fusion
 from longreach.estimation.fusion import Correction, Event, FusionState
 from longreach.estimation.gaussian import Belief
 from longreach.estimation.observation import planar_imu
 from longreach.measurement import LaserScan, PoseMeasurement, Recording, RelativePoseMeasurement, Wheels
-from longreach.odometry import lidar, wheel
+from longreach.odometry import lidar, motion_prior, wheel
 from longreach.odometry.lidar import LidarState
-from longreach.odometry.scan_match import ScanMatch
 from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
 
 _STEPS = 100  # of the wheels that are remembered: two seconds of them
-_NOTHING, _UNTRIED = Recording("live"), Trust()
+_NOTHING = Recording("live")
 _HISTORY = 0.5  # how late a measurement may come [s]: a scan's sweep and its way, many times over
 
 
@@ -41,10 +40,11 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizerState:
-    """What the sources and the filter remember.
+    """What the sources and the filters remember.
 
-    trust, match: in the wheels as a guide of the LIDAR, and the last scan's match. steps: the last of the wheels, for
-    the scans that are to come. carried_to: stamp [s] of the encoder reading that the filter's pose clone was moved to.
+    filter: in the frame odom, which no fix moves. localized: with the fixes as well, in the frame map; None: no fixes.
+    steps: the last of the wheels, for the scans that are to come. carried_to: stamp [s] of the encoder reading up to
+    which the wheels' pose clone is carried.
     """
 
     robot: RobotDescription
@@ -54,14 +54,17 @@ class LocalizerState:
     wheels: WheelState
     lidar: LidarState
     T_base_imu: Float[np.ndarray, "4 4"]
-    trust: Trust = _UNTRIED
-    match: ScanMatch | None = None
+    localized: FusionState | None = None
     steps: tuple[RelativePoseMeasurement, ...] = ()
     carried_to: float = -np.inf
 
     def belief(self, now: float) -> Belief:
-        """Return what is believed at `now` [s], predicted from the newest measurement."""
+        """Return what is believed at `now` [s], predicted from the newest measurement, in the smooth frame odom."""
         return self.filter.belief_at(now)
+
+    def belief_on_map(self, now: float) -> Belief:
+        """Return what is believed at `now` [s] with the pose in the frame map; without fixes it is odom."""
+        return (self.localized or self.filter).belief_at(now)
 
 
 def init(
@@ -69,19 +72,24 @@ def init(
     stamp: float,
     pose: Float[np.ndarray, "3"],
     config: EstimateConfig | None = None,
-    pose_covariance: Float[np.ndarray, "3 3"] | None = None,
+    on_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
 ) -> LocalizerState:
-    """Start at rest at a pose [m, m, rad]; without its covariance it is exact, as a run defines its own frame."""
+    """Start at rest at a pose [m, m, rad] in the frame odom, which a run defines; it is exact there.
+
+    on_map: pose and covariance in the frame map, where something tells them: from then on it is told from odom.
+    """
     config = config or EstimateConfig()
     chosen = filter_for(config, robot, _NOTHING)
     gyro = robot.imu is not None and (config.sources is None or "imu" in config.sources)
-    led = {} if "led_by_counter" in config.filter.model_fields_set else {"led_by_counter": (True, True, not gyro)}
-    chosen = chosen.model_copy(update={"history": _HISTORY, **led})
+    set_ = "coupled_to_wheels" in config.filter.model_fields_set
+    coupled = {} if set_ else {"coupled_to_wheels": (True, True, not gyro)}
+    chosen = chosen.model_copy(update={"history": _HISTORY, **coupled})
     matcher = lidar.init(config.lidar, sensor_mount(_NOTHING, robot, "lidar"))
     T_base_imu = sensor_mount(_NOTHING, robot, "imu")
+    start = fusion.init(stamp, pose, None, chosen)
+    localized = None if on_map is None else fusion.init(stamp, *on_map, chosen)
     odometry = wheel.init(robot, config.wheels)
-    belief = fusion.init(stamp, pose, pose_covariance, chosen)
-    return LocalizerState(robot, config, belief, stamp, odometry, matcher, T_base_imu)
+    return LocalizerState(robot, config, start, stamp, odometry, matcher, T_base_imu, localized)
 
 
 def oldest(readings: Readings, config: EstimateConfig) -> float:
@@ -96,7 +104,7 @@ def step(
 ) -> tuple[LocalizerState, list[Correction]]:
     """Take all that was read, and absolute poses; what no source can use is refused by the filter, which says so."""
     sources = state.config.sources or ("wheels", "lidar", "imu", "fixes")
-    events: list[Event] = list(fixes) if "fixes" in sources else []
+    fixes, events = fixes if "fixes" in sources else (), list[Event]()
     if "imu" in sources and state.robot.imu is not None and readings.imu:
         noise = state.robot.imu
         R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
@@ -109,17 +117,32 @@ def step(
             state, measured = _lidar(state, scan)
             events += measured
     fused, corrections = fusion.steps(state.filter, events)
-    return replace(state, filter=fused), corrections
+    localized = state.localized or (state.filter if fixes else None)  # until the first fix, map is odom
+    if localized is not None:
+        localized, judged = fusion.steps(localized, [*events, *fixes])
+        names = {fix.source for fix in fixes}
+        corrections += [correction for correction in judged if correction.source in names]
+    return replace(state, filter=fused, localized=localized), corrections
 
 
 def settled(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
-    """Return the rows that a step has settled, oldest first; after it has ended (None), all that are left."""
-    oldest = np.inf if after is None else after.filter.history[0].key[0]
+    """Return the rows in the frame odom that a step has settled, oldest first; after it has ended (None), all left."""
+    return _settled(before.filter, None if after is None else after.filter)
+
+
+def settled_on_map(before: LocalizerState, after: LocalizerState | None) -> list[Row]:
+    """Return `settled` in the frame map; without fixes it is odom."""
+    newest = None if after is None else after.localized or after.filter
+    return _settled(before.localized or before.filter, newest)
+
+
+def _settled(before: FusionState, after: FusionState | None) -> list[Row]:
+    oldest = np.inf if after is None else after.history[0].key[0]
     rows: dict[float, Row] = {}
-    for snapshot in before.filter.history:
+    for snapshot in before.history:
         stamp = snapshot.key[0]
         if stamp < oldest and snapshot.event is not None:
-            rows[stamp] = Row(stamp, snapshot.mean[:3], snapshot.P[:3, :3].copy())
+            rows[stamp] = Row(stamp, *snapshot.pose)
     return list(rows.values())
 
 
@@ -127,7 +150,7 @@ def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[Localiz
     """Turn new wheel records into steps of the wheel odometry; those that begin before the start are left out."""
     wheels, found = wheel.step(state.wheels, records)
     new = tuple(step for step in found if step.stamp_reference >= state.start)
-    events = counter_events(new, state.carried_to)
+    events = wheel_events(new, state.carried_to)
     carried_to = state.carried_to
     if new:
         carried_to = -np.inf if new[-1].reading_covariance is None else new[-1].stamp
@@ -136,9 +159,10 @@ def _wheels(state: LocalizerState, records: tuple[Wheels, ...]) -> tuple[Localiz
 
 
 def _lidar(state: LocalizerState, scan: LaserScan) -> tuple[LocalizerState, list[Event]]:
-    """Match a scan, guided by the wheels where they are fused; one from before the start is passed over."""
+    """Match a scan, from where the wheels expect it if they are fused; one from before the start is passed over."""
     if not scan.stamp > max(state.lidar.stamp, np.nextafter(state.start, -np.inf)):
         return state, []
-    guide = wheel_guide(state.steps, state.lidar.stamp, scan.stamp) if np.isfinite(state.lidar.stamp) else None
-    odometry, trust, match = guided_step(state.lidar, state.trust, scan, guide, state.match)
-    return replace(state, lidar=odometry, trust=trust, match=match), match_events(match)
+    known = np.isfinite(state.lidar.stamp)
+    prior = motion_prior.from_wheels(state.steps, state.lidar.stamp, scan.stamp) if known else None
+    odometry, match = lidar.step(state.lidar, scan, prior)
+    return replace(state, lidar=odometry), match_events(match)

@@ -1,4 +1,4 @@
-"""Where a filter starts: at the identity, or where absolute fixes say the robot was."""
+"""Where the start is on the map: where absolute fixes say the robot was."""
 
 from collections.abc import Sequence
 
@@ -16,14 +16,12 @@ _WIDER = 3.0  # the fixes are fused as well, so what they say of the start is ta
 
 def start_pose(
     fixes: Sequence[PoseMeasurement], paths: Sequence[PoseTrajectory], stamp: float
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"] | None]:
-    """Return a pose at `stamp` [s] and its covariance; the identity and None (exact) without fixes.
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Return a pose at `stamp` [s] in the frame map and its covariance.
 
     Fixes without headings tell the start only after a way: as many of the first ones as are spread widely enough are
     laid over dead reckoning (the first of `paths` that has rows), and the rigid motion between the two gives the pose.
     """
-    if not fixes:
-        return np.zeros(3), None
     if np.isfinite(fixes[0].covariance[2, 2]):
         return fixes[0].pose.copy(), _WIDER**2 * _in_body(fixes[0])
     sigma = float(np.sqrt(0.5 * (fixes[0].covariance[0, 0] + fixes[0].covariance[1, 1])))

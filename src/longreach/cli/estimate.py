@@ -25,6 +25,7 @@ def command(
     fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
+    compare: bool = typer.Option(False, "--compare", help="LIDAR odometry alone as well: lidar.tum."),
     smooth: bool = typer.Option(False, "--smooth", help="Look back over the whole run as well: smoothed.tum."),
     node: str | None = estimate_in_space.NODE,
     filter: str | None = estimate_in_space.FILTER,
@@ -38,7 +39,13 @@ def command(
     if estimate_in_space.is_meant(config, planar, spatial):
         estimate_in_space.run(recording, config, out, spatial)
     else:
-        settings = {"config": config, "fix_sigma": fix_sigma, "fix_period": fix_period, "smooth": smooth}
+        settings = {
+            "config": config,
+            "fix_sigma": fix_sigma,
+            "fix_period": fix_period,
+            "smooth": smooth,
+            "compare": compare,
+        }
         _run(recording, out, settings | planar)
 
 

@@ -26,7 +26,7 @@ def estimate(
     sources: str | None = typer.Option(
         None, help="What to fuse, of wheels,lidar,imu,fixes (default: whatever speaks)."
     ),
-    frame: str | None = typer.Option(None, help="The frame of the estimate: odom; map where fixes place it."),
+    frame: str | None = typer.Option(None, help="The frame of the smooth estimate (default: odom)."),
     tf: bool | None = typer.Option(None, "--tf/--no-tf", help="Whether tf is sent, too."),
 ) -> None:
     """Estimate from topics: /odometry/filtered, /odometry/settled, tf and /diagnostics."""

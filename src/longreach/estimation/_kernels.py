@@ -1,7 +1,8 @@
 """Compiled extended Kalman filter: Singer motion, and gated correction in Joseph form.
 
-Layout of the mean (13 + 3m,): pose x y θ, body twist, body acceleration, gyro bias, scale error of the counter in x y
-θ, then m anchors x y θ. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth).
+Layout of the mean (16 + 3m,): the base's pose x y θ seen from the local reference, body twist, body acceleration, gyro
+bias, scale errors of the wheels in x y θ, the pose of the reference in the world; then m pose clones x y θ, seen from
+the reference. P has the same layout over the errors; that of a pose is ξ = log(mean⁻¹ · truth).
 """
 
 import math
@@ -12,8 +13,10 @@ from longreach.estimation._cholesky_kernels import cholesky, solve
 from longreach.geometry._kernels import se2_adjoint, se2_compose, se2_exp, se2_right_jacobian
 from longreach.kernels import kernel
 
-BODY = 13  # error states before the anchors
-SCALE = 10  # the first of the counter's scale errors
+BODY = 13  # error states before the poses beside the base's
+SCALE = 10  # the first of the wheels' scale errors
+BIASES = 9  # of the gyro, then of the wheels
+REFERENCE = 13  # its pose
 
 
 @kernel
@@ -228,10 +231,33 @@ def _joseph(P, K, H, R, scale):
 
 
 @kernel
-def correct(mean, P, r, H, R, gate, inflate):
+def _restrict(mean, K, gain):
+    """Leave the gain K (n, k) to what a measurement may correct.
+
+    1, of the local state: all but the reference's pose G. 2, of a fix: the biases of the sensors, and G, by as much as
+    moves the base's pose G X as the gains of G and X would: K_G + Ad(X) K_X, for the error of G X is Ad(X⁻¹) γ + ξ.
+    """
+    k, g = K.shape[1], REFERENCE
+    if gain == 1:
+        K[g : g + 3] = 0.0
+    elif gain == 2:
+        A = np.empty((3, 3))
+        se2_adjoint(mean[0], mean[1], mean[2], A)
+        for a in range(3):
+            for b in range(k):
+                for c in range(3):
+                    K[g + a, b] += A[a, c] * K[c, b]
+        K[:BIASES] = 0.0
+        K[g + 3 :] = 0.0
+
+
+@kernel
+def correct(mean, P, r, H, R, gate, inflate, gain):
     """Take one innovation r (k,): the new mean, the new P, NIS and the scale put on R (0: not taken).
 
+    gain: what is corrected, 0: all, 1 and 2: see `_restrict`; the rest is considered in P (Schmidt).
     NIS is infinite where its covariance is not positive definite or the result would not be finite.
+    Source: Schmidt 1966, "Application of state-space methods to navigation problems".
     """
     n, k = len(mean), len(r)
     PHt, A = _innovation_parts(P, H)
@@ -247,6 +273,8 @@ def correct(mean, P, r, H, R, gate, inflate):
     K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
     for i in range(n):  # (3.29c)
         solve(L, PHt[i], K[i])
+    _restrict(mean, K, gain)
+    for i in range(n):
         for a in range(k):
             dx[i] += K[i, a] * r[a]
     moved = retract(mean, dx, G)  # (3.29a)

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from longreach.estimation._kernels import BODY
-from longreach.geometry._kernels import se2_adjoint, se2_between, se2_exp, se2_log, wrap
+from longreach.estimation._kernels import REFERENCE
+from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log, wrap
 from longreach.kernels import kernel
 
 
@@ -45,31 +45,43 @@ def observe_twist(mean, z, R):
 
 @kernel
 def observe_pose(mean, z, R):
-    """Innovation z - X in the world's axes; with the heading measured, linearised where it vanishes: at X · exp(d)."""
-    n = len(mean)
-    H = np.zeros((3, n))
-    if R[0, 0] == np.inf or R[1, 1] == np.inf or R[2, 2] == np.inf:
-        c, s = math.cos(mean[2]), math.sin(mean[2])
-        H[0, 0], H[0, 1], H[1, 0], H[1, 1], H[2, 2] = c, -s, s, c, 1.0
-        z[0] -= mean[0]
-        z[1] -= mean[1]
-        z[2] = wrap(z[2] - mean[2])
-        return _select_rows(z, H, R)
-    c, s = math.cos(z[2]), math.sin(z[2])
-    x, y, t = se2_between(mean[0], mean[1], mean[2], z[0], z[1], z[2])
-    d0, d1, d2 = se2_log(x, y, t)
-    x, y, t = se2_exp(-d0, -d1, -d2)
-    se2_adjoint(x, y, t, H[:, :3])
-    for j in range(3):
-        H[0, j], H[1, j] = c * H[0, j] - s * H[1, j], s * H[0, j] + c * H[1, j]
-    z[0], z[1], z[2] = c * d0 - s * d1, s * d0 + c * d1, d2
-    return z, H, R
+    """Innovation z - G X in the world's axes, G the reference's pose.
+
+    With the heading measured, linearised where it vanishes: at G X · exp(d).
+    """
+    H, A, B, g = np.zeros((3, len(mean))), np.empty((3, 3)), np.zeros((3, 3)), REFERENCE
+    x, y, t = se2_compose(mean[g], mean[g + 1], mean[g + 2], mean[0], mean[1], mean[2])
+    whole = R[0, 0] != np.inf and R[1, 1] != np.inf and R[2, 2] != np.inf
+    if whole:
+        c, s = math.cos(z[2]), math.sin(z[2])
+        x, y, t = se2_between(x, y, t, z[0], z[1], z[2])
+        d0, d1, d2 = se2_log(x, y, t)
+        x, y, t = se2_exp(-d0, -d1, -d2)
+        se2_adjoint(x, y, t, B)
+        for j in range(3):
+            B[0, j], B[1, j] = c * B[0, j] - s * B[1, j], s * B[0, j] + c * B[1, j]
+        z[0], z[1], z[2] = c * d0 - s * d1, s * d0 + c * d1, d2
+    else:
+        c, s = math.cos(t), math.sin(t)
+        B[0, 0], B[0, 1], B[1, 0], B[1, 1], B[2, 2] = c, -s, s, c, 1.0
+        z[0] -= x
+        z[1] -= y
+        z[2] = wrap(z[2] - t)
+    x, y, t = se2_between(mean[0], mean[1], mean[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, A)
+    for i in range(3):
+        for j in range(3):
+            H[i, j] = B[i, j]
+            for l in range(3):
+                H[i, g + j] += B[i, l] * A[l, j]
+    if whole:
+        return z, H, R
+    return _select_rows(z, H, R)
 
 
 @kernel
-def observe_relative_pose(mean, z, R, anchor, at):
-    """Innovation -e, e = log(z⁻¹ · anchor⁻¹ · X), X the pose at `at`, linearised where it vanishes: at X · exp(-e)."""
-    k = BODY + 3 * anchor
+def observe_relative_pose(mean, z, R, k, at):
+    """Innovation -e, e = log(z⁻¹ · K⁻¹ · X), K, X the poses at k and `at`, linearised where it is 0: at X · exp(-e)."""
     x, y, t = se2_between(mean[k], mean[k + 1], mean[k + 2], mean[at], mean[at + 1], mean[at + 2])
     if R[2, 2] == np.inf:
         z[2] = t

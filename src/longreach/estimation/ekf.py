@@ -1,22 +1,34 @@
-"""The two steps of the extended Kalman filter (3.28), (3.29) on plain arrays; `fusion` puts measurements in order.
+"""The steps of the extended Kalman filter (3.28), (3.29) on plain arrays; `fusion` puts measurements in order.
 
-The mean (13 + 3m,) is pose, twist, acceleration, gyro bias, a counter's scale errors and m anchors: past poses kept in
-the state, so that a pose measured relative to one of them is judged with the right correlation (stochastic cloning:
+The mean (16 + 3m,) is the base's pose relative to the local reference, twist, acceleration, gyro bias, the wheels'
+scale errors; the pose of the reference in the world (odom or map); and m pose clones: past poses, relative to the
+reference too, so that a pose measured relative to one of them is judged with the right correlation (stochastic cloning:
 Roumeliotis & Burdick 2002).
+
+Wheels, LIDAR and IMU measure relative poses, or in the body's frame. So they do not correct the reference: its pose is
+considered in P and has no gain (Schmidt 1966). `rebase` makes the present pose the reference, and only there the
+reference takes over what the pose is wrong by. Whatever is done to the covariance of the local state, which is that of
+a few seconds, it cannot become information about where the reference is. A fix corrects the reference and the biases of
+gyro and wheels, which a long way shows better than a short one; what is local it leaves alone: that the way since the
+last keyframe agrees with the scans is not to be given up for a fix of some centimetres.
+
 Ours differs from (3.29) in what a pose needs: corrections are put on by X · exp(ξ), after which P is carried to the
-frame of the new mean by Ad(exp(-ξ)); P is corrected in Joseph's form, which rounding cannot make indefinite.
+frame of the new mean by Ad(exp(-ξ)); P is corrected in Joseph's form, which holds for any gain and which rounding
+cannot make indefinite.
 """
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from longreach.estimation import _anchor_kernels, _kernels
-from longreach.estimation.motion import Counter, MotionModel
+from longreach.estimation import _clone_kernels, _kernels
+from longreach.estimation.motion import MotionModel, WheelModel
 
-BODY, SCALE = _kernels.BODY, _kernels.SCALE
+SCALE, REFERENCE = _kernels.SCALE, _kernels.REFERENCE
+CLONES = REFERENCE + 3  # where the pose clones begin
+_GAINS = {"all": 0, "local": 1, "fix": 2}
 
 Mean = Float[np.ndarray, " n"]
 Covariance = Float[np.ndarray, "n n"]
@@ -63,13 +75,15 @@ def correct(
     R: Float[np.ndarray, "k k"],
     gate: float = math.inf,
     inflate: bool = False,
+    gain: Literal["all", "local", "fix"] = "all",
 ) -> Corrected:
     """Correct by an innovation z - h(mean), (3.29), unless its NIS is above the gate.
 
     With `inflate`, one above the gate is taken with R scaled up until its NIS equals the gate, so that what it can
-    move is bounded: the treatment of a heavy tail.
+    move is bounded: the treatment of a heavy tail. gain: what is corrected, the rest is considered
+    (Schmidt): "local", all but the pose of the reference; "fix", that pose and the biases of gyro and wheels.
     """
-    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate)
+    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate, _GAINS[gain])
     return Corrected(*_read_only(new, covariance), nis, scale)
 
 
@@ -80,34 +94,39 @@ def innovation_covariance(
     return _kernels.innovation_covariance(P, H, R)
 
 
-def clone(mean: Mean, P: Covariance, anchor: int) -> tuple[np.ndarray, np.ndarray]:
-    """Remember the pose as the anchor of that number, in place of what it held; the next free number adds one."""
-    return _read_only(*_anchor_kernels.clone(mean, P, anchor))
+def clone(mean: Mean, P: Covariance, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Make the pose at i a clone of the base's, in place of what it held; at the end of the mean it adds one."""
+    return _read_only(*_clone_kernels.clone(mean, P, i))
 
 
-def moved_anchor(mean: Mean, P: Covariance, anchor: int, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Put the last anchor, of that number, in place of another; there is one fewer then."""
-    rows = _moved_rows(anchor, number)
+def chosen(mean: Mean, P: Covariance, rows: Int[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and P of these rows, which may repeat: errors after are np.eye(n)[rows] times those before."""
     return _read_only(mean[rows], P[np.ix_(rows, rows)])
 
 
-def _moved_rows(anchor: int, number: int) -> np.ndarray:
-    rows = np.arange(BODY + 3 * anchor)
-    rows[BODY + 3 * number : BODY + 3 * number + 3] = BODY + 3 * anchor + np.arange(3)
+def cloning(n: int, i: int) -> Int[np.ndarray, " m"]:
+    """Return the rows, before, of what `clone` makes."""
+    rows = np.arange(max(n, i + 3))
+    rows[i : i + 3] = np.arange(3)
     return rows
 
 
-def moved_anchor_map(anchor: int, number: int) -> Float[np.ndarray, "m n"]:
-    """Return how errors before `moved_anchor` are errors after."""
-    return np.eye(BODY + 3 * anchor + 3)[_moved_rows(anchor, number)]
+def moving_last(n: int, i: int) -> Int[np.ndarray, " m"]:
+    """Return the rows that put the last clone in the place of the one at i."""
+    rows = np.arange(n - 3)
+    rows[i : i + 3] = np.arange(n - 3, n)
+    return rows
 
 
-def clone_map(n: int, anchor: int) -> Float[np.ndarray, "m n"]:
-    """Return how n errors before `clone` are errors after."""
-    i = BODY + 3 * anchor
-    rows = np.arange(max(n, i + 3))
-    rows[i : i + 3] = np.arange(3)
-    return np.eye(n)[rows]
+def rebase(mean: Mean, P: Covariance, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Make the pose at i (0: the base's) the reference; returns also how errors before are errors after (n, n)."""
+    new, covariance, M = _clone_kernels.rebase(mean, P, i)
+    return *_read_only(new, covariance), M
+
+
+def compound(mean: Mean, P: Covariance) -> tuple[np.ndarray, np.ndarray]:
+    """Return the base's pose (3,) in the world, and the covariance (10, 10) of it and the body."""
+    return _clone_kernels.compound(mean, P)
 
 
 def correction_map(
@@ -117,7 +136,7 @@ def correction_map(
     H: Float[np.ndarray, "k n"],
     R: Float[np.ndarray, "k k"],
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "k n"], Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Return how errors before `correct` are errors after, H, S⁻¹ r and S⁻¹."""
+    """Return how errors before `correct` of all states are errors after, H, S⁻¹ r and S⁻¹."""
     n = len(mean)
     information = np.linalg.inv(H @ P @ H.T + R)
     K, G = P @ H.T @ information, np.empty((n, n))
@@ -126,21 +145,21 @@ def correction_map(
 
 
 def carry(
-    counter: Counter,
+    wheels: WheelModel,
     mean: Mean,
     P: Covariance,
-    anchor: int,
+    i: int,
     pose: Float[np.ndarray, "3"],
     Q: Float[np.ndarray, "3 3"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Move the anchor of that number by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q).
+    """Move the clone at i by a pose [m, m, rad] seen from it, in error by log(pose⁻¹ · truth) ~ N(0, Q).
 
-    The step ξ = log(pose) is taken as (1 + s) ξ with the counter's scale errors s, axis by axis. In the axes that the
-    counter leads, the present pose shares the step's error, having been led by it. An error that both share leaves
-    their difference alone: what the motion model expects is not held against the step. Returns mean, covariance, and
-    how errors before are errors after (n, n).
+    The step ξ = log(pose) is taken as (1 + s) ξ with the wheels' scale errors s, axis by axis. In the axes that are
+    coupled to the wheels, the present pose shares the step's error. An error that both share leaves their difference
+    alone: what the motion model expects is not held against the step. Returns mean, covariance, and how errors before
+    are errors after (n, n).
     """
-    moved, covariance, T = _anchor_kernels.carry(
-        mean, P, anchor, pose, Q, counter.led, counter.scale_variance, counter.reach
+    moved, covariance, T = _clone_kernels.carry(
+        mean, P, i, pose, Q, wheels.coupled, wheels.scale_variance, wheels.reach
     )
     return *_read_only(moved, covariance), T

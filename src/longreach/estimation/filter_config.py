@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.estimation.motion import Counter, MotionModel
+from longreach.estimation.motion import MotionModel, WheelModel
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -40,14 +40,14 @@ class FilterConfig(BaseModel):
         allow_inf_nan=False,
         description="how wrong stamps are, standard deviation [s]; a recording's is measured from its scans' rhythm",
     )
-    led_by_counter: tuple[bool, bool, bool] = Field(
+    coupled_to_wheels: tuple[bool, bool, bool] = Field(
         default=(True, True, True),
-        description="axes in which a counter's steps lead the pose, and the motion model has no say against them; "
-        "not the heading's where a gyro is fused, which knows better",
+        description="axes in which the pose shares the errors of the wheels' steps, and the motion model has no say "
+        "against them; not the heading's where a gyro is fused, which knows better",
     )
     scale_deviation: tuple[_NotNegative, _NotNegative, _NotNegative] = Field(
         default=(0.0, 0.0, 0.0),
-        description="how wrong a counter's scale is, in x, y and θ [1]: rollers that creep, wheels that are worn; "
+        description="how wrong the wheels' scale is, in x, y and θ [1]: rollers that creep, wheels that are worn; "
         "0: not at all",
     )
     scale_reach: _Positive = Field(
@@ -96,10 +96,10 @@ class FilterConfig(BaseModel):
         return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation)
 
     @cached_property
-    def counter(self) -> Counter:
-        """What these settings say of a counter."""
-        led = np.array(self.led_by_counter, dtype=float)
-        return Counter(led, np.square(self.scale_deviation), self.scale_reach)
+    def wheels(self) -> WheelModel:
+        """What these settings say of the wheels' steps."""
+        coupled = np.array(self.coupled_to_wheels, dtype=float)
+        return WheelModel(coupled, np.square(self.scale_deviation), self.scale_reach)
 
     @cached_property
     def gates(self) -> tuple[float, float, float]:

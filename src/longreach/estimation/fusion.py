@@ -14,20 +14,20 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
-from longreach.estimation.ekf import BODY, SCALE
+from longreach.estimation.ekf import CLONES, REFERENCE, SCALE
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.gaussian import Belief
-from longreach.estimation.slip import velocity
-from longreach.estimation.snapshot import Anchor, Correction, Event, Placed, Snapshot, Tally
+from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, PoseClone, Snapshot, Tally
 from longreach.estimation.update import predicted, take
 from longreach.measurement import RelativePoseMeasurement
 
 __all__ = [
-    "Anchor",
+    "Clone",
     "Correction",
     "Event",
     "FusionState",
-    "Placed",
+    "Keyframe",
+    "PoseClone",
     "Snapshot",
     "Tally",
     "in_order",
@@ -60,19 +60,19 @@ class FusionState:
         return self.history[-1].key[0]
 
     @property
-    def anchors(self) -> Mapping[str, Placed]:
-        """The anchor of each source."""
-        return self.history[-1].anchors
+    def clones(self) -> Mapping[str, Clone]:
+        """The pose clone that relative poses of each source refer to."""
+        return self.history[-1].clones
 
     @property
     def belief(self) -> Belief:
         """The belief at `stamp`."""
-        return _belief(self.history[-1])
+        return self.history[-1].belief
 
     def belief_at(self, stamp: float) -> Belief:
         """Return what is believed at a time [s], predicted where it is after the newest event."""
         newest = self.history[-1]._replace(links=None)
-        return _belief(predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest)
+        return (predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest).belief
 
     @property
     def counters(self) -> dict[str, Tally]:
@@ -84,24 +84,16 @@ class FusionState:
         return tallies
 
 
-def _belief(now: Snapshot) -> Belief:
-    (stamp, *_), mean = now.key, now.mean
-    twist = mean[3:6]
-    if now.slip.rate.any():  # which the pose goes with, and wheels do not count
-        twist = twist + velocity(now.slip, float(np.hypot(twist[0], twist[1])), stamp)
-    return Belief(stamp, mean[:3], twist, mean[6:9], float(mean[9]), now.P[:10, :10])
-
-
 _Key = tuple[float, int, str]
 
 
 def _key(event: Event) -> _Key:
-    """Order of events at one stamp: a counter's step first, which tells the others where to look.
+    """Order of events at one stamp: a step of wheel odometry first, with which the others are compared.
 
-    An anchor comes last, so that what refers to the former anchor still finds it.
+    A pose clone comes last, so that what refers to the former one still finds it.
     """
     steps = isinstance(event, RelativePoseMeasurement) and event.reading_covariance is not None
-    return event.stamp, 2 if isinstance(event, Anchor) else 0 if steps else 1, event.source
+    return event.stamp, 2 if isinstance(event, PoseClone) else 0 if steps else 1, event.source
 
 
 def in_order(events: Iterable[Event]) -> list[Event]:
@@ -115,24 +107,24 @@ def init(
     pose_covariance: Float[np.ndarray, "3 3"] | None = None,
     config: FilterConfig | None = None,
 ) -> FusionState:
-    """Start at a pose [m, m, rad], at rest as far as is known.
+    """Start at a pose [m, m, rad] in the world, which is the first reference, at rest as far as is known.
 
     pose_covariance of ξ = log(mean⁻¹ · truth); None: the pose is exact, as where a run defines its own frame.
     """
     config = config or FilterConfig()
-    mean, P = np.zeros(BODY), np.zeros((BODY, BODY))
-    mean[:3] = pose
+    mean, P = np.zeros(CLONES), np.zeros((CLONES, CLONES))
+    mean[REFERENCE:] = pose
     if pose_covariance is not None:
-        P[:3, :3] = pose_covariance
+        P[REFERENCE:, REFERENCE:] = pose_covariance
     P[3:6, 3:6] = np.diag(np.square(config.initial_twist_deviation))
     P[6:9, 6:9] = np.diag(config.motion.acceleration_variance)
     P[9, 9] = config.initial_gyro_bias_deviation**2
-    P[SCALE : SCALE + 3, SCALE : SCALE + 3] = np.diag(config.counter.scale_variance)
+    P[SCALE : SCALE + 3, SCALE : SCALE + 3] = np.diag(config.wheels.scale_variance)
     if not (
         np.isfinite(stamp)
         and np.all(np.isfinite(mean))
         and np.all(np.isfinite(P))
-        and np.linalg.eigvalsh(P[:3, :3])[0] >= -1e-12
+        and np.linalg.eigvalsh(P[REFERENCE:, REFERENCE:])[0] >= -1e-12
     ):
         raise EstimationError(
             "The filter must start at a finite stamp and pose, with a positive semidefinite covariance."
@@ -142,7 +134,7 @@ def init(
 
 
 def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:
-    """Take one measurement or anchor, in the order of stamps or up to `history` seconds late."""
+    """Take one measurement or pose clone, in the order of stamps or up to `history` seconds late."""
     state, corrections = steps(state, [event])
     return state, corrections[0]
 
@@ -159,7 +151,7 @@ def steps(state: FusionState, events: Iterable[Event]) -> tuple[FusionState, lis
     corrections: list[Correction] = []
     taken: list[tuple[_Key, Event, int]] = []  # and the place of its correction
     for event in ordered:
-        reason, ahead = _at_the_door(config, newest, state.history[0].key[0], ahead, event.stamp)
+        reason, ahead = _too_late_or_early(config, newest, state.history[0].key[0], ahead, event.stamp)
         corrections.append(Correction(event.stamp, event.source, "refused", reason))
         if reason:
             turned_away = {**turned_away, event.source: turned_away.get(event.source, 0) + 1}
@@ -184,7 +176,7 @@ def steps(state: FusionState, events: Iterable[Event]) -> tuple[FusionState, lis
     return FusionState(config, tuple(history[first:]), turned_away, ahead), corrections
 
 
-def _at_the_door(
+def _too_late_or_early(
     config: FilterConfig, newest: float, oldest: float, ahead: _Ahead | None, stamp: float
 ) -> tuple[str, _Ahead | None]:
     """Why an event at this stamp cannot be taken ("": it can), and the run of stamps too far ahead that goes on.

@@ -36,20 +36,20 @@ class MotionModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Counter:
-    """How the steps of a counter of wheels, which dead reckoning adds up, are wrong.
+class WheelModel:
+    """How the steps of wheel odometry, which dead reckoning adds up, are wrong.
 
-    led (3,): 1 in the axes in which the pose is led by the counter and shares a step's error, else 0.
+    coupled (3,): 1 in the axes in which the pose follows the wheels and shares a step's error, else 0.
     scale_variance (3,): of the errors of scale in x, y and θ, which stay much the same over `reach` [m and rad].
     """
 
-    led: Float[np.ndarray, "3"]
+    coupled: Float[np.ndarray, "3"]
     scale_variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     reach: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("led", "scale_variance"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), f"Counter.{name}"))
+        for name in ("coupled", "scale_variance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), f"WheelModel.{name}"))
 
 
 def transition(

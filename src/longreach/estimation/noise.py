@@ -4,10 +4,10 @@ A covariance R that is stated is taken as D R D with D² = diag of two factors, 
 Their logarithms follow the likelihood of the innovations, r ~ N(0, H P Hᵀ + D R D), by steps of the score over the
 information gathered (stochastic approximation: Robbins & Monro 1951; Titterington 1984), which is forgotten over
 `noise_memory` measurements; so a source that the prediction cannot judge, H P Hᵀ being larger, moves its factors
-little. A counter has two factors more, for the steps that add up: others judge them by what they say of the pose.
+little. Wheels have two factors more, for the steps that add up: others judge them by what they say of the pose.
 
 Innovations show what changes from one to the next. What stays for a while, as a scanner's bias does on a surface, they
-do not; so only a counter, whose noise is described for all robots alike, is ever taken for better than it says.
+do not; so only wheels, whose noise is described for all robots alike, are ever taken for better than stated.
 """
 
 import math
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from longreach.estimation import _noise_kernels
 
 _HIGHEST = math.log(25.0)  # what a stated variance may be too small by
-LEAST = 0.25  # and too large by, of a counter
+LEAST = 0.25  # and too large by, of wheels
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
 _OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
@@ -36,15 +36,15 @@ class Noise(NamedTuple):
     deviations: Float[np.ndarray, "3"] = np.ones(3)
 
 
-AS_STATED = Noise()
+NOMINAL = Noise()
 
 
-def steps_of(source: str) -> str:
-    """Return the name under which the noise of a counter's steps is kept; that of its readings has the source's."""
+def process_noise(source: str) -> str:
+    """Return the name under which the noise of the wheels' steps is kept; that of their readings has the source's."""
     return f"{source}, steps"
 
 
-def worse(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
+def inflated(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
     """Return a noise whose variances are these factors larger, as far as they may, and soon judged anew."""
     log = np.minimum(noise.log + np.log(factors), _HIGHEST)
     return Noise(log, np.where(factors > 1.0, _FIRST, noise.information), np.exp(0.5 * log)[[0, 0, 1]])

@@ -97,28 +97,27 @@ def observe_twist(mean: Mean, measurement: TwistMeasurement) -> Observation:
 
 
 def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
-    """z = X, its error n in the world's axes: H = blkdiag(R(θ), 1) on ξ.
+    """z = G X, its error n in the world's axes: H = blkdiag(R(θ), 1) on the error Ad(X⁻¹) γ + ξ of G X.
 
-    With d = log(X⁻¹ · z) known, that is with all three measured, ours is R(θ_z) d = R(θ_z) Ad(exp(-d)) ξ + n:
-    linearised at the measurement, with the error seen from there, so that a first fix after a holiday lands on the pose
-    measured however far that is.
+    G is the reference's pose. With d = log((G X)⁻¹ · z) known, that is with all three measured, ours is
+    R(θ_z) d = R(θ_z) Ad(exp(-d)) (Ad(X⁻¹) γ + ξ) + n: linearised at the measurement, with the error seen from there, so
+    that a first fix after a holiday lands on the pose measured however far that is.
     """
     return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
 
 
-def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, anchor: int, at: int = 0) -> Observation:
-    """z = anchor⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · anchor⁻¹ · X); X is the pose at `at` in the state.
+def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, clone: int, at: int = 0) -> Observation:
+    """z = K⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · K⁻¹ · X); K, X are the poses at `clone` and `at`.
 
-    H = Ad(exp(e)) on ξ and -Ad(z⁻¹) on the anchor's error: the derivatives of e at X · exp(-e), where it is 0, with the
-    error seen from there. At X they would be J_r⁻¹(e) and -J_r⁻¹(e) Ad(X⁻¹ · anchor); both agree as e goes to 0. This
-    one is exact in X, so that steps that were badly predicted still compound as dead reckoning does, mean and
-    covariance. And H vanishes on errors Ad(X⁻¹) g, Ad(anchor⁻¹) g that all poses share, which no relative pose can
-    tell; else the filter grows certain of a heading that nothing measures, and goes astray with it.
+    H = Ad(exp(e)) on the error of X and -Ad(z⁻¹) on that of K: the derivatives of e at X · exp(-e), where it is 0, with
+    the error seen from there. At X they would be J_r⁻¹(e) and -J_r⁻¹(e) Ad(X⁻¹ K); both agree as e goes to 0. This one
+    is exact in X, so that steps that were badly predicted still compound as dead reckoning does, mean and covariance.
+    And H vanishes on errors Ad(X⁻¹) g, Ad(K⁻¹) g that all poses share, which no relative pose can tell.
     Source: Huang, Mourikis & Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
     estimators".
     """
     return Observation(
-        *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), anchor, at)
+        *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), clone, at)
     )
 
 
@@ -166,11 +165,10 @@ def blocks_of(measurement: Measurement) -> Int[np.ndarray, " k"]:
     return blocks[~np.array(infinite)] if any(infinite) else blocks
 
 
-def observe(mean: Mean, measurement: Any, anchor: int | None = None, at: int = 0) -> tuple[Observation, str]:
+def observe(mean: Mean, measurement: Any, *indices: int) -> tuple[Observation, str]:
     """Return the observation, and why it must not be used ("" where it may be).
 
-    A relative pose is seen from the anchor of that number, and tells the pose at `at` in the state, 0 the present one.
+    indices: in the mean, of the clone that a relative pose is seen from, and of the pose that it tells, 0 the present.
     """
-    model = MODELS[type(measurement)]
-    observation = model(mean, measurement) if anchor is None else model(mean, measurement, anchor, at)
+    observation = MODELS[type(measurement)](mean, measurement, *indices)
     return observation, _FAULTS[_kernels.fault(observation.innovation, observation.R)]

@@ -19,16 +19,11 @@ def run(
     (there the row is a prediction); and what became of each event.
     """
     corrections: list[Correction] = []
-    stamps: list[float] = []
-    poses: list[np.ndarray] = []
-    covariances: list[np.ndarray] = []
+    rows: list[tuple[float, np.ndarray, np.ndarray]] = []
     pending = False  # the state's stamp has an event and no row yet
 
     def emit() -> None:
-        last = state.history[-1]
-        stamps.append(last.key[0])
-        poses.append(last.mean[:3])
-        covariances.append(last.P[:3, :3].copy())  # a view would keep all of P alive
+        rows.append((state.stamp, *state.history[-1].pose))
 
     for event in events:
         after, correction = step(state, event)
@@ -43,6 +38,7 @@ def run(
         emit()
     if progress is not None:
         progress(len(corrections))
-    if not stamps:
+    if not rows:
         raise EstimationError("No measurement could be taken: none has a stamp at or after the start of the filter.")
+    stamps, poses, covariances = zip(*rows, strict=True)
     return state, PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances)), corrections

@@ -1,7 +1,7 @@
 """How fast wheels slip, learned from where another source corrects the pose, one time after the other.
 
 A floor that slips does so for a while: what a scan corrects, the next corrects again, in the same direction. Taken for
-white noise, as errors of a counter's steps are, that leaves the pose behind between scans. So slip is a velocity that
+white noise, as errors of the wheels' steps are, that leaves the pose behind between scans. So slip is a velocity that
 wheels do not count, axis by axis a first-order Gauss-Markov process: its variance is what the rates seen have in common
 with those before (Mehra 1970: the innovations of a filter that is right have nothing in common), the rest is noise. On
 a floor that holds there is none, and nothing is changed.
@@ -51,11 +51,11 @@ NO_SLIP = Slip()
 
 
 def corrected(
-    slip: Slip, r: Float[np.ndarray, "3"], xi: Float[np.ndarray, "3"], stamp: float, led: Float[np.ndarray, "3"]
+    slip: Slip, r: Float[np.ndarray, "3"], xi: Float[np.ndarray, "3"], stamp: float, coupled: Float[np.ndarray, "3"]
 ) -> Slip:
     """Return what is known where a source has told that the pose is off by r (3,), and it was moved by ξ (3,) for that.
 
-    led (3,): 1 in the axes in which a counter leads the pose, else 0.
+    coupled (3,): 1 in the axes in which the pose follows the wheels, else 0.
     """
     dt, left = stamp - slip.told, r - xi
     if not 0.0 < dt <= _GAP:
@@ -63,7 +63,7 @@ def corrected(
         return slip._replace(rate=fading * slip.rate, last=np.zeros((2, 3)), left=left, told=max(stamp, slip.told))
     fading = math.exp(-dt / _LASTS)
     before = fading * slip.rate
-    seen = np.clip(led * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
+    seen = np.clip(coupled * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
     together = slip.together + (seen * slip.last[0] - slip.together) / _MEMORY
     alone = slip.alone + (seen * seen - slip.alone) / _MEMORY
     mean, off = slip.rhythm

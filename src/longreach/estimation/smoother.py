@@ -1,9 +1,11 @@
 """The filter's run looked back upon: what each pose is, given all that came after as well.
 
 A Rauch–Tung–Striebel smoother in the form of Bryson and Frazier, which needs no inverse of P: that is singular where a
-pose has just been remembered as an anchor, or is exactly known. Going back over what the filter did, λ and Λ gather
+pose has just been cloned or made the reference. Going back over what the filter did, λ and Λ gather
 what was learned later, λ ← Mᵀ λ - Hᵀ S⁻¹ r and Λ ← Mᵀ Λ M + Hᵀ S⁻¹ H; the smoothed error is -P λ, its covariance
-P - P Λ P.
+P - P Λ P. The change of the reference is a linear map of the errors like any other. The smoother looks back over a
+filter of its own, in which every measurement corrects the reference's pose too, as the theory of smoothing demands:
+what that does is bounded by what the last references were wrong by.
 
 Source: Bierman 1973, "Fixed interval smoothing with discrete measurements", the modified Bryson–Frazier smoother.
 """
@@ -14,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from longreach.errors import EstimationError
+from longreach.estimation import ekf
 from longreach.estimation.fusion import Event, FusionState, step
 from longreach.estimation.snapshot import Snapshot
 from longreach.geometry import se2
@@ -44,10 +47,13 @@ def _back(taken: Sequence[Snapshot]) -> PoseTrajectory:
     stamps, poses, covariances = [], [], []
     for snapshot in reversed(taken):
         if not stamps or snapshot.key[0] < stamps[-1]:
-            P = snapshot.P
             stamps.append(snapshot.key[0])
-            poses.append(se2.retract(snapshot.mean[:3], -(P[:3] @ lam)))
-            covariance = P[:3, :3] - P[:3] @ Lam @ P[:, :3]
+            P = snapshot.P
+            J = np.zeros((3, len(P)))  # of the compounded pose's error: Ad(X⁻¹) γ + ξ
+            J[:, :3], J[:, ekf.REFERENCE : ekf.CLONES] = np.eye(3), se2.adjoint(se2.inverse(snapshot.mean[:3]))
+            pose, covariance = snapshot.pose
+            poses.append(se2.retract(pose, -(J @ P @ lam)))
+            covariance = covariance - J @ P @ Lam @ P @ J.T
             covariances.append(0.5 * (covariance + covariance.T))
         for M, H, weighed, information in reversed(snapshot.links or ()):
             lam, Lam = M.T @ lam, M.T @ Lam @ M

@@ -1,4 +1,4 @@
-"""What the filter holds after an event: mean, covariance, anchors, and what it has learned of its sources."""
+"""What the filter holds after an event: mean, covariance, pose clones, and what it has learned of its sources."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
+from longreach.estimation import ekf
+from longreach.estimation.gaussian import Belief
 from longreach.estimation.noise import Noise
 from longreach.estimation.observation import Measurement
-from longreach.estimation.slip import NO_SLIP, Slip
+from longreach.estimation.slip import NO_SLIP, Slip, velocity
 from longreach.measurement import RelativePoseMeasurement
 
 _NOTHING = np.zeros(0)
@@ -18,24 +20,33 @@ _NOTHING.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)
-class Anchor:
-    """From here on, relative poses of `source` refer to the pose at `stamp`, which the filter remembers (a clone).
-
-    match: what the scan at `stamp`, a keyframe from now on, says relative to the anchor before, where it does.
-    """
+class PoseClone:
+    """From here on, relative poses of `source` refer to the pose at `stamp`, which the filter remembers."""
 
     stamp: float
     source: str
-    match: RelativePoseMeasurement | None = None
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stamp):
-            raise EstimationError(f"An Anchor has the stamp {self.stamp}; a stamp is a finite number of seconds.")
+            raise EstimationError(f"A {type(self).__name__} has the stamp {self.stamp}; a stamp is a finite number.")
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe(PoseClone):
+    """From here on, scans are matched to the one at `stamp`: a pose clone, and the new local reference.
+
+    match: what the scan says relative to the keyframe before, where it does.
+    """
+
+    match: RelativePoseMeasurement | None = None
+
+    def __post_init__(self) -> None:
+        PoseClone.__post_init__(self)
         if self.match is not None and (self.match.stamp, self.match.source) != (self.stamp, self.source):
-            raise EstimationError("The match of an Anchor must be of the same stamp and source.")
+            raise EstimationError("The match of a Keyframe must be of the same stamp and source.")
 
 
-Event = Measurement | Anchor
+Event = Measurement | PoseClone
 
 
 class Tally(NamedTuple):
@@ -49,7 +60,7 @@ class Tally(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What became of one event. An Anchor alone has dof 0; so has what was refused before it was compared (nis 0)."""
+    """What became of one event. A pose clone has dof 0; so has what was refused before it was compared (nis 0)."""
 
     stamp: float
     source: str
@@ -60,15 +71,19 @@ class Correction(NamedTuple):
     dof: int = 0
 
 
-class Placed(NamedTuple):
-    """An anchor: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise."""
+class Clone(NamedTuple):
+    """A pose clone: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise.
+
+    keyframe: whether scans are matched to it.
+    """
 
     number: int
     stamp: float
     own: np.ndarray | None = None
+    keyframe: bool = False
 
 
-class Doubt(NamedTuple):
+class Streak(NamedTuple):
     """How many times in a row a source has said that the pose is off by much the same ξ (3,)."""
 
     times: int
@@ -88,11 +103,11 @@ class Link(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """The filter after one event (None: the start): mean (13 + 3m,), P, and by source anchors, tallies, noise.
+    """The filter after one event (None: the start): mean (16 + 3m,), P, and by source clones, tallies, noise.
 
-    steps: by counter, what its steps have added (2, 3, 3) to the covariance of the pose since another source told it,
-    through translations and through turns. doubts: by source, what it has said beyond the gate without a break.
-    slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
+    steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the covariance of the pose since another
+    source told it, through translations and through turns. streaks: by source, what it has said beyond the gate without
+    a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
@@ -100,11 +115,36 @@ class Snapshot(NamedTuple):
     event: Event | None
     mean: np.ndarray
     P: np.ndarray
-    anchors: Mapping[str, Placed] = {}
+    clones: Mapping[str, Clone] = {}
     tallies: Mapping[str, Tally] = {}
     noise: Mapping[str, Noise] = {}
     steps: Mapping[str, np.ndarray] = {}
-    doubts: Mapping[str, Doubt] = {}
+    streaks: Mapping[str, Streak] = {}
     slip: Slip = NO_SLIP
     drift: float = 0.0
     links: tuple[Link, ...] | None = None
+
+    def place(self, number: int) -> int:
+        """Return where in the mean the pose clone of that number is."""
+        return ekf.CLONES + 3 * number
+
+    @property
+    def spare(self) -> int:
+        """The number of the next pose clone."""
+        return (len(self.mean) - ekf.CLONES) // 3
+
+    @property
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """The base's pose (3,) in the world, and the covariance (3, 3) of its ξ."""
+        pose, covariance = ekf.compound(self.mean, self.P)
+        return pose, covariance[:3, :3].copy()  # a view would keep more alive
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed, with the pose in the world."""
+        (stamp, *_), mean = self.key, self.mean
+        pose, covariance = ekf.compound(mean, self.P)
+        twist = mean[3:6]
+        if self.slip.rate.any():  # which the pose goes with, and wheels do not count
+            twist = twist + velocity(self.slip, float(np.hypot(twist[0], twist[1])), stamp)
+        return Belief(stamp, pose, twist, mean[6:9], float(mean[9]), covariance)

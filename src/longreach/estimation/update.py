@@ -1,12 +1,18 @@
 """One event taken: predict to its stamp (3.28), observe, gate, correct (3.29). `fusion` puts events in order.
 
-Relative poses of a source refer to its anchor, a past pose in the state. Two kinds of source move their anchors
+Relative poses of a source refer to its pose clone, a past pose in the state. Two kinds of source move their clones
 differently:
-* a counter (wheels), whose readings have an error of their own: its anchor is carried along from reading to reading;
-* a keyframe (LIDAR): its anchor stays while matches refer to it. What all of them have in common, the noise of the
-  keyframe's own scan, is an error of the anchor: it stands for the keyframe's pose as its scan shows it. A scan that
-  becomes a keyframe is an anchor from the match on that tells where it is, so that its noise, which that match has in
+* wheel odometry, whose readings have an error of their own: its clone is carried along from reading to reading;
+* a keyframe (LIDAR): its clone stays while matches refer to it. What all of them have in common, the noise of the
+  keyframe's own scan, is an error of the clone: it stands for the keyframe's pose as its scan shows it. A scan that
+  becomes a keyframe is a clone from the match on that tells where it is, so that its noise, which that match has in
   common with those to come, is counted once.
+
+The local reference is the keyframe before the last: its clone becomes the reference, and is no longer in the state,
+when the next keyframe has been placed. By then all scans that were matched to it have told where it is, and nothing is
+lost when it has no gain any more. (With the last keyframe itself as the reference, the noise of its scan, which later
+scans tell, stays in odom; simulated drives were then up to twice as wrong.) Where there are no keyframes, or they are
+far, the reference is renewed on the way.
 """
 
 import math
@@ -17,12 +23,12 @@ from typing import Literal
 import numpy as np
 
 from longreach.estimation import _own_kernels, ekf, motion
-from longreach.estimation.blame import blamed, drifting, loosened, moving
+from longreach.estimation.fault_detection import bias_jumps_found, faults_found, moving, widened
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import AS_STATED, LEAST, learned, parts_of, scaled, steps_of
+from longreach.estimation.noise import LEAST, NOMINAL, learned, parts_of, process_noise, scaled
 from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
 from longreach.estimation.slip import corrected, way
-from longreach.estimation.snapshot import Anchor, Correction, Event, Link, Placed, Snapshot, Tally
+from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
@@ -30,6 +36,8 @@ _OWN = 0.05  # at least this part of a match's variance is its own
 # Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
 # keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
 _SAME = 0.7
+_FAR = 1.0  # [m], [rad] from the reference, where it is renewed
+_LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _ROWS = np.array([0, 0, 1])  # translations and turn
 _NOTHING_ADDED = np.zeros((2, 3, 3))
 
@@ -37,17 +45,24 @@ _NOTHING_ADDED = np.zeros((2, 3, 3))
 def take(
     config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event
 ) -> tuple[Snapshot, Correction]:
-    """Predict to the event's stamp, then place the anchor or correct by the measurement."""
+    """Predict to the event's stamp, then place the pose clone or correct by the measurement."""
     links = None if before.links is None else ()
     now = predicted(config, before._replace(links=links), key)._replace(event=event)
-    if isinstance(event, Anchor):
-        return _slip_seen(config, now, *_anchored(config, now, event))
-    if not isinstance(event, RelativePoseMeasurement):
+    if isinstance(event, PoseMeasurement):
         return _corrected(config, now, event)
-    if event.reading_covariance is not None:
-        return _corrected(config, *_carried(config, now, event))
-    now, event = _apart(now, event)
-    return _slip_seen(config, now, *_corrected(config, now, event))
+    if isinstance(event, Keyframe):
+        seen, correction, own = _keyframe_seen(config, now, event)
+        return _keyframe_placed(_slip_seen(config, now, seen, correction)[0], event, own), correction
+    if isinstance(event, PoseClone):
+        return _cloned(now, event), Correction(event.stamp, event.source, "used")
+    if not isinstance(event, RelativePoseMeasurement):
+        after, correction = _corrected(config, now, event)
+    elif event.reading_covariance is not None:
+        after, correction = _corrected(config, *_carried(config, now, event))
+    else:
+        now, event = _apart(now, event)
+        after, correction = _slip_seen(config, now, *_corrected(config, now, event))
+    return _renewed(after), correction
 
 
 def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str]) -> Snapshot:
@@ -59,15 +74,38 @@ def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str
     return _slipped(now, before.key[0]) if dt > 0.0 and now.slip.variance.any() else now
 
 
+def _rebased(now: Snapshot, i: int) -> Snapshot:
+    """Make the pose at i the reference."""
+    mean, P, M = ekf.rebase(now.mean, now.P, i)
+    return _linked(now, lambda: M)._replace(mean=mean, P=P)
+
+
+def _renewed(now: Snapshot) -> Snapshot:
+    """Make the best known pose the reference, where the last one is far."""
+    x, y, turn = now.mean[:3]
+    far = _LOST if any(clone.keyframe for clone in now.clones.values()) else _FAR
+    if math.hypot(x, y) < far and abs(turn) < far:
+        return now
+    return _rebased(now, _best_known(now))
+
+
+def _best_known(now: Snapshot) -> int:
+    """Return where in the mean the pose is that nothing to come tells more of: where wheels say that the base is.
+
+    The base's own pose waits for their next reading to be corrected; it serves where there are no wheels.
+    """
+    return next((now.place(now.clones[wheels].number) for wheels in now.steps), 0)
+
+
 def _slipped(now: Snapshot, since: float) -> Snapshot:
-    """Move the pose, and where counters say that it is, by what the wheels have slipped since then."""
+    """Move the pose, and where wheel odometry says that it is, by what the wheels have slipped since then."""
     xi, variance = way(now.slip, math.hypot(now.mean[3], now.mean[4]), since, now.key[0])
     mean, P = now.mean.copy(), now.P
     mean[:3] = se2.retract(mean[:3], xi)
-    for counter in now.steps:
-        i = ekf.BODY + 3 * now.anchors[counter].number
+    for wheels in now.steps:
+        i = now.place(now.clones[wheels].number)
         mean[i : i + 3] = se2.retract(mean[i : i + 3], xi)
-        P = loosened(P, moving(now, counter, "", 0), np.diag(variance))
+        P = widened(P, moving(now, wheels, "", 0), np.diag(variance))
     mean.flags.writeable = False
     return now._replace(mean=mean, P=P)
 
@@ -79,7 +117,7 @@ def _slip_seen(
     if config.noise_memory == 0.0 or correction.dof < 3 or correction.reason or not before.steps:
         return after, correction
     xi = se2.difference(before.mean[:3], after.mean[:3])
-    slip = corrected(before.slip, correction.innovation, xi, correction.stamp, config.counter.led)
+    slip = corrected(before.slip, correction.innovation, xi, correction.stamp, config.wheels.coupled)
     return after._replace(slip=slip), correction
 
 
@@ -89,48 +127,69 @@ def _linked(now: Snapshot, M: Callable[[], np.ndarray]) -> Snapshot:
 
 
 def _copied(now: Snapshot, number: int) -> Snapshot:
-    """Make the anchor of that number a copy of the pose."""
-    mean, P = ekf.clone(now.mean, now.P, number)
-    return _linked(now, lambda: ekf.clone_map(len(now.mean), number))._replace(mean=mean, P=P)
+    """Make the pose clone of that number a copy of the pose."""
+    i, n = now.place(number), len(now.mean)
+    mean, P = ekf.clone(now.mean, now.P, i)
+    return _linked(now, lambda: np.eye(n)[ekf.cloning(n, i)])._replace(mean=mean, P=P)
 
 
-def _anchored(config: FilterConfig, now: Snapshot, event: Anchor) -> tuple[Snapshot, Correction]:
-    """Place an anchor at the pose; with a match, at the pose as the scan shows it, which the match tells."""
-    old, match = now.anchors.get(event.source), event.match
-    spare, own = (len(now.mean) - ekf.BODY) // 3, None
-    number = spare if old is None else old.number
+def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
+    old = now.clones.get(event.source)
+    number = now.spare if old is None else old.number
+    return _copied(now, number)._replace(clones={**now.clones, event.source: Clone(number, event.stamp)})
+
+
+def _keyframe_seen(
+    config: FilterConfig, now: Snapshot, event: Keyframe
+) -> tuple[Snapshot, Correction, np.ndarray | None]:
+    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match tells.
+
+    The clone is the last one. Returns also which part of its covariance is the scan's own noise.
+    """
+    match, spare, own = event.match, now.spare, None
     correction = Correction(event.stamp, event.source, "used")
     if match is None:
-        now = _copied(now, number)
+        now = _copied(_rebased(now, _best_known(now)), spare)
     else:
         now, match = _apart(now, match)
-        at, own = ekf.BODY + 3 * spare, match.covariance
+        at, own = now.place(spare), match.covariance
         known = bool(np.all(np.isfinite(own)))
-        noise = scaled(own, now.noise.get(event.source, AS_STATED).deviations) if known else np.zeros((3, 3))
+        noise = scaled(own, now.noise.get(event.source, NOMINAL).deviations) if known else np.zeros((3, 3))
         now = _copied(now, spare)
         match = replace(match, covariance=(1.0 - _SAME) * own)
         now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
-        if number != spare:
-            mean, P = ekf.moved_anchor(now.mean, now.P, spare, number)
-            now = _linked(now, lambda: ekf.moved_anchor_map(spare, number))._replace(mean=mean, P=P)
-    return now._replace(anchors={**now.anchors, event.source: Placed(number, event.stamp, own)}), correction
+    return now, correction, own
+
+
+def _keyframe_placed(now: Snapshot, event: Keyframe, own: np.ndarray | None) -> Snapshot:
+    """Let the last clone, which is the new keyframe's, take the place of the old one's, which becomes the reference."""
+    old, clone = now.clones.get(event.source), Clone(now.spare - 1, event.stamp, own, True)
+    if old is not None:
+        if event.match is not None:
+            now = _rebased(now, now.place(old.number))
+        n = len(now.mean)
+        rows = ekf.moving_last(n, now.place(old.number))
+        mean, P = ekf.chosen(now.mean, now.P, rows)
+        now = _linked(now, lambda: np.eye(n)[rows])._replace(mean=mean, P=P)
+        clone = clone._replace(number=old.number)
+    return now._replace(clones={**now.clones, event.source: clone})
 
 
 def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, RelativePoseMeasurement]:
-    """Make what all matches to an anchor have in common an error of the anchor; what is left is the match's own."""
-    placed = now.anchors.get(match.source)
-    if match.shared_covariance is None or placed is None or placed.stamp != match.stamp_reference:
+    """Make what all matches to a keyframe have in common an error of its clone; what is left is the match's own."""
+    clone = now.clones.get(match.source)
+    if match.shared_covariance is None or clone is None or clone.stamp != match.stamp_reference:
         return now, match
     if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
         return now, match
-    own = placed.own
+    own = clone.own
     if own is None:
         A = se2.adjoint(match.pose)
-        own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, AS_STATED)
+        own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, NOMINAL)
         own.flags.writeable = False
-        P = _added(now.P, ekf.BODY + 3 * placed.number, scaled(own, noise.deviations))
-        now = now._replace(P=P, anchors={**now.anchors, match.source: placed._replace(own=own)})
+        P = _added(now.P, now.place(clone.number), scaled(own, noise.deviations))
+        now = now._replace(P=P, clones={**now.clones, match.source: clone._replace(own=own)})
     R = np.empty((3, 3))
     if not _own_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
         R = match.covariance
@@ -148,55 +207,62 @@ def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
 def _carried(
     config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement
 ) -> tuple[Snapshot, RelativePoseMeasurement]:
-    """Take a step between two readings of a counter: the anchor goes along, and stands where the counter says we are.
+    """Take a step between two readings of the wheels: the clone goes along, and stands where the wheels say we are.
 
-    So the error of a reading stays with that reading, whereas the error of the steps adds up in the anchor. Returns
-    what is left to measure: that we are at the anchor, as well as a reading tells. What is no such step stays as it is.
+    So the error of a reading stays with that reading, whereas the error of the steps adds up in the clone. Returns
+    what is left to measure: that we are at the clone, as well as a reading tells. What is no such step stays as it is.
     """
-    placed, R = now.anchors.get(step.source), step.reading_covariance
-    if R is None or placed is None or placed.stamp != step.stamp_reference or not np.all(np.isfinite(step.pose)):
+    clone, R = now.clones.get(step.source), step.reading_covariance
+    if R is None or clone is None or clone.stamp != step.stamp_reference or not np.all(np.isfinite(step.pose)):
         return now, step
-    noise = now.noise.get(steps_of(step.source), AS_STATED)
+    noise = now.noise.get(process_noise(step.source), NOMINAL)
     Q = scaled(step.covariance, noise.deviations)
-    mean, P, T = ekf.carry(config.counter, now.mean, now.P, placed.number, step.pose, Q)
-    A, told = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
-    steps = {**now.steps, step.source: A @ now.steps.get(step.source, _NOTHING_ADDED) @ A.T + told}
-    anchors = {**now.anchors, step.source: placed._replace(stamp=step.stamp)}
-    at_anchor = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
-    return _linked(now, lambda: T)._replace(mean=mean, P=P, anchors=anchors, steps=steps), at_anchor
+    mean, P, T = ekf.carry(config.wheels, now.mean, now.P, now.place(clone.number), step.pose, Q)
+    A, parts = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
+    steps = {**now.steps, step.source: A @ now.steps.get(step.source, _NOTHING_ADDED) @ A.T + parts}
+    clones = {**now.clones, step.source: clone._replace(stamp=step.stamp)}
+    at_clone = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
+    return _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps), at_clone
 
 
 def _corrected(
     config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
 ) -> tuple[Snapshot, Correction]:
-    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one."""
+    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one.
+
+    What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
+    """
     stamp, source = measurement.stamp, measurement.source
-    tally, number = now.tallies.get(source, Tally()), None
+    tally, clone, fix = now.tallies.get(source, Tally()), None, isinstance(measurement, PoseMeasurement)
     said = Correction(stamp, source, "refused")
 
     def refused(reason: str) -> tuple[Snapshot, Correction]:
         tallies = {**now.tallies, source: tally._replace(refused=tally.refused + 1)}
         return now._replace(tallies=tallies), said._replace(reason=reason)
 
+    indices: tuple[int, ...] = ()
     if isinstance(measurement, RelativePoseMeasurement):
-        placed = now.anchors.get(source)
-        if placed is None or placed.stamp != measurement.stamp_reference:
-            return refused(f"relative to {measurement.stamp_reference} s, where {source} has no anchor")
-        number = placed.number
-    observation, fault = observe(now.mean, measurement, number, at)
+        clone = now.clones.get(source)
+        if clone is None or clone.stamp != measurement.stamp_reference:
+            return refused(f"relative to {measurement.stamp_reference} s, where {source} has no pose clone")
+        indices = now.place(clone.number), at
+    observation, fault = observe(now.mean, measurement, *indices)
     if fault:
         return refused(fault)
-    noise, blocks = now.noise.get(source, AS_STATED), blocks_of(measurement)
+    noise, blocks = now.noise.get(source, NOMINAL), blocks_of(measurement)
     r, H, R = observation.innovation, observation.H, scaled(observation.R, noise.deviations[2 * blocks])
     k = len(r)
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
     S, judged = ekf.innovation_covariance(now.P, H, R), now
-    now = blamed(config, now, measurement, Observation(r, H, R), S, gate, at)
-    if k == 3 and isinstance(measurement, RelativePoseMeasurement) and source not in now.steps and gate < np.inf:
-        now = drifting(config, now, r[2], S[2, 2] if now.P is judged.P else float(H[2] @ now.P @ H[2] + R[2, 2]))
+    now = faults_found(config, now, measurement, Observation(r, H, R), S, gate, at)
+    if k == 3 and clone is not None and source not in now.steps and gate < np.inf:
+        now = bias_jumps_found(
+            config, now, r[2], S[2, 2] if now.P is judged.P else float(H[2] @ now.P @ H[2] + R[2, 2])
+        )
     if now.P is not judged.P:
         S = ekf.innovation_covariance(now.P, H, R)
-    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate)
+    gain: Literal["all", "local", "fix"] = "all" if now.links is not None else "fix" if fix else "local"
+    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, gain)
     if nis == np.inf:
         return refused("its innovation has no positive definite covariance")
     if config.noise_memory > 0.0 and at == 0:
@@ -227,16 +293,16 @@ def _learned(
     blocks: np.ndarray,
     S: np.ndarray,
 ) -> Snapshot:
-    """Learn from an innovation about its source's noise; from one that tells the pose, also about counters' steps."""
+    """Learn from an innovation about its source's noise; from one that tells the pose, also about the wheels' steps."""
     (r, H, R), source, steps = observation, measurement.source, now.steps
-    is_counter = source in steps
-    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and not is_counter
-    counters = list(steps) if tells_pose else []
-    names = [source, *(steps_of(counter) for counter in counters)]
-    noises = [now.noise.get(name, AS_STATED) for name in names]
-    least = [LEAST if is_counter else 1.0] + [LEAST] * len(counters)
-    added = np.array([steps[counter] for counter in counters]).reshape(-1, 2, 3, 3)
-    seen = H[:, :3] * config.counter.led
+    is_wheels = source in steps
+    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and not is_wheels
+    others = list(steps) if tells_pose else []
+    names = [source, *(process_noise(wheels) for wheels in others)]
+    noises = [now.noise.get(name, NOMINAL) for name in names]
+    least = [LEAST if is_wheels else 1.0] + [LEAST] * len(others)
+    added = np.array([steps[wheels] for wheels in others]).reshape(-1, 2, 3, 3)
+    seen = H[:, :3] * config.wheels.coupled
     after = learned(noises, S, r, parts_of(R, blocks), seen, added, config.noise_memory, least)
     if tells_pose:
         steps = dict.fromkeys(steps, _NOTHING_ADDED)

@@ -1,6 +1,7 @@
 """The estimate as a ROS node: sensors in by topics, odometry with covariance, tf and diagnostics out.
 
 `odometry/filtered` and tf are what is believed now, as robot_localization's are: of the newest measurement's stamp.
+With absolute fixes `odometry/localized` says the same in the frame map, and tf has map → odom (REP-105).
 `odometry/settled` are the rows of `longreach estimate`: each is sent once it is older than the filter's history, when
 nothing that comes late can change it any more, so that a recording played in gives what it gives offline.
 """
@@ -19,6 +20,7 @@ from longreach.app.localizer import LocalizerState, Row
 from longreach.app.start import start_pose
 from longreach.estimation.fusion import Correction
 from longreach.estimation.gaussian import Belief
+from longreach.geometry import se2
 from longreach.io import messages
 from longreach.io.bag_topics import ODOMETRY
 from longreach.measurement import LaserScan, Odometry
@@ -41,7 +43,8 @@ class NodeConfig(BaseModel):
 
     estimate: EstimateConfig = Field(default=EstimateConfig(), description="As `longreach estimate --config`.")
     rate: float = Field(default=50.0, gt=0, le=1000, description="How often odometry is sent at most [Hz]; ours.")
-    frame: str = Field(default="odom", min_length=1, description="Frame of the estimate; map where fixes place it.")
+    frame: str = Field(default="odom", min_length=1, description="Frame of the smooth estimate, which no fix moves.")
+    map: str = Field(default="map", min_length=1, description="Frame of the fixes; sent where there are any.")
     base: str = Field(default="base_link", min_length=1, description="Frame of the base.")
     tf: bool = Field(default=True, description="Whether tf is sent as well; one node alone may send it.")
 
@@ -66,7 +69,7 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
             rows, corrections = estimator.take(sensors.take(), time.monotonic())
             out.settled(rows)
             if estimator.where is not None and (before is None or estimator.where.filter.stamp > before.filter.stamp):
-                out.filtered(estimator.where.filter.belief)
+                out.filtered(estimator.where)
             health.take(corrections)
 
 
@@ -121,11 +124,10 @@ class Estimator:
 
 
 def begin(robot: RobotDescription, config: EstimateConfig, first: Heard) -> LocalizerState:
-    """Start with the oldest of what was heard: at the identity, or where absolute poses say that the robot was."""
+    """Start with the oldest of what was heard: at the identity, on the map where absolute poses say the robot was."""
     fixes = first.fixes if config.sources is None or "fixes" in config.sources else ()
     stamp = min([localizer.oldest(first.readings, config), *(fix.stamp for fix in fixes)])
-    pose, covariance = start_pose(fixes, (), stamp)
-    return localizer.init(robot, stamp, pose, config, covariance)
+    return localizer.init(robot, stamp, np.zeros(3), config, start_pose(fixes, (), stamp) if fixes else None)
 
 
 def _says_something(heard: Heard) -> bool:
@@ -162,25 +164,36 @@ class _Outputs:
     def __init__(self, config: NodeConfig) -> None:
         self._config = config
         self._filtered = wire.Publisher("odometry/filtered", ODOMETRY)
+        self._localized = wire.Publisher("odometry/localized", ODOMETRY)
         self._settled = wire.Publisher("odometry/settled", ODOMETRY)
         self._tf = Broadcaster() if config.tf else None
 
-    def filtered(self, belief: Belief) -> None:
-        """Send what is believed, on its topic and as tf."""
-        stamp, P = belief.stamp, belief.covariance
-        twist = {"twist": belief.twist, "twist_covariance": P[3:6, 3:6]}
-        self._filtered.send(self._odometry(Row(stamp, belief.pose, P[:3, :3]), **twist))
+    def filtered(self, where: LocalizerState) -> None:
+        """Send what is believed, on its topics and as tf: odom → base, and where there are fixes map → odom."""
+        belief, config = where.filter.belief, self._config
+        stamp = belief.stamp
+        self._filtered.send(self._odometry(config.frame, belief))
+        frames = {config.base: (config.frame, planar(belief.pose))}
+        if where.localized is not None:
+            localized = where.belief_on_map(stamp)
+            self._localized.send(self._odometry(config.map, localized))
+            frames[config.frame] = config.map, planar(se2.compose(localized.pose, se2.inverse(belief.pose)))
         if self._tf is not None:
-            self._tf.send(stamp, {self._config.base: (self._config.frame, planar(belief.pose))})
+            self._tf.send(stamp, frames)
 
     def settled(self, rows: list[Row]) -> None:
         """Send rows that nothing changes any more."""
         for row in rows:
-            self._settled.send(self._odometry(row))
+            self._settled.send(self._message(self._config.frame, row))
 
-    def _odometry(self, row: Row, **twist: Float[np.ndarray, "..."]) -> object:
+    def _odometry(self, frame: str, belief: Belief) -> object:
+        P = belief.covariance
+        row = Row(belief.stamp, belief.pose, P[:3, :3])
+        return self._message(frame, row, twist=belief.twist, twist_covariance=P[3:6, 3:6])
+
+    def _message(self, frame: str, row: Row, **twist: Float[np.ndarray, "..."]) -> object:
         record = Odometry(row.stamp, row.pose, pose_covariance=in_frame(row.pose, row.covariance), **twist)
-        message = messages.odometry(wire.message_types(), row.stamp, record, self._config.frame)
+        message = messages.odometry(wire.message_types(), row.stamp, record, frame)
         message.child_frame_id = self._config.base
         return message
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from keyframe_events import unchecked
 
-from longreach.estimation.blame import drifting
+from longreach.estimation.fault_detection import bias_jumps_found
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Anchor, in_order, init, step, steps
+from longreach.estimation.fusion import Keyframe, PoseClone, in_order, init, step, steps
 from longreach.estimation.observation import PlanarImu
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
@@ -21,7 +21,7 @@ LAST = 200  # steps of 0.05 s, a scan at every second one, a keyframe every 20
 def drive(rng, wheels=lambda i, z: z, scans=lambda i, z: z, gyro=None, moved=None, reading=READING):
     """Events of a drive on a circle, the true poses; wheels, scans change what they say, moved (i, pose) the base."""
     truth = [np.zeros(3)]
-    events, key = [Anchor(0.0, "wheels"), Anchor(0.0, "lidar")], 0
+    events, key = [PoseClone(0.0, "wheels"), Keyframe(0.0, "lidar")], 0
     for i in range(1, LAST + 1):
         before, now, z = 0.05 * (i - 1), 0.05 * i, se2.exp(0.05 * SPEED)
         x = se2.compose(truth[-1], z)
@@ -36,7 +36,7 @@ def drive(rng, wheels=lambda i, z: z, scans=lambda i, z: z, gyro=None, moved=Non
             seen = se2.retract(se2.between(truth[key], x), np.sqrt(np.diag(SCAN)) * rng.normal(size=3))
             match = RelativePoseMeasurement(0.05 * key, now, scans(i, seen), 2 * SCAN, "lidar", None, SCAN)
             if i % 20 == 0:
-                events.append(Anchor(now, "lidar", match))
+                events.append(Keyframe(now, "lidar", match))
                 key = i
             else:
                 events.append(match)
@@ -65,8 +65,8 @@ def test_wheels_that_slip_do_not_carry_the_estimate_off(rng):
 
 @pytest.mark.parametrize("leads", [True, False])
 def test_steps_after_a_slip_are_as_noisy_as_those_that_slipped(leads):
-    config = FilterConfig(**(CONFIG.model_dump() | {"led_by_counter": (True, True, leads)}))
-    state, _ = steps(init(0.0, np.zeros(3), None, config), [Anchor(0.0, "wheels"), Anchor(0.0, "lidar")])
+    config = FilterConfig(**(CONFIG.model_dump() | {"coupled_to_wheels": (True, True, leads)}))
+    state, _ = steps(init(0.0, np.zeros(3), None, config), [PoseClone(0.0, "wheels"), Keyframe(0.0, "lidar")])
     for i in range(2):
         state, _ = step(state, RelativePoseMeasurement(0.05 * i, 0.05 * i + 0.05, np.zeros(3), STEP, "wheels", READING))
         assert "wheels, steps" not in state.history[-1].noise
@@ -106,7 +106,7 @@ def test_a_base_that_was_moved_is_found_again_within_a_second(rng):
 
 
 def test_a_gyro_whose_bias_jumps_does_not_turn_the_estimate(rng):
-    config = FilterConfig(**(CONFIG.model_dump() | {"led_by_counter": (True, True, False)}))
+    config = FilterConfig(**(CONFIG.model_dump() | {"coupled_to_wheels": (True, True, False)}))
     errors, state = unchecked(
         errors_of, *drive(rng, gyro=lambda i: 0.05 * (i >= 60), reading=np.diag([1e-4, 1e-4, 0.05]) ** 2), config
     )
@@ -128,7 +128,7 @@ def test_nan_is_refused_and_the_estimate_goes_on(rng, source):
 def test_without_a_gate_nobody_is_blamed(rng):
     config = FilterConfig(**(CONFIG.model_dump() | {"gate_mode": "none"}))
     errors, state = unchecked(errors_of, *drive(rng, moved=(90, np.array([0.8, -0.5, 0.6]))), config)
-    assert state.history[-1].doubts == {}
+    assert state.history[-1].streaks == {}
     assert state.history[-1].drift == 0.0
     assert np.all(np.isfinite(errors))
 
@@ -139,7 +139,7 @@ def test_a_jump_of_the_gyros_bias_is_found_in_four_headings_and_none_in_white_no
     def first_jump(headings):
         now = start
         for i, innovation in enumerate(headings, 1):
-            after = drifting(CONFIG, now, innovation, 1e-6)
+            after = bias_jumps_found(CONFIG, now, innovation, 1e-6)
             if after.P[9, 9] > start.P[9, 9]:
                 return i
             now = after

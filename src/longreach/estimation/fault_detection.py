@@ -1,0 +1,128 @@
+"""What may be wrong where an innovation is beyond the gate: the source, the wheels' steps, or what was believed.
+
+The gate lets 1 - `gate_probability` of good measurements through to these tests, one in 10 000; that is the false alarm
+rate of the test for wheel slip, which costs a covariance that is too large until the next match. A base that was moved
+takes 6 in a row that agree: by chance, at 10⁻⁴ each, never. The test for a jump of the gyro's bias has an average run
+length of 2 · 10⁷ headings without one (Siegmund 1985, "Sequential analysis", for Page's test with the values below);
+a false alarm forgets the bias.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from longreach.estimation import _cholesky_kernels, ekf
+from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.noise import NOMINAL, inflated, process_noise
+from longreach.estimation.observation import Measurement, Observation
+from longreach.estimation.snapshot import Snapshot, Streak
+from longreach.geometry import se2
+from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
+
+_USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time, and its bound
+_STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
+_LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match that is wrong
+_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source told the pose
+
+
+def faults_found(
+    config: FilterConfig,
+    now: Snapshot,
+    measurement: Measurement,
+    observation: Observation,
+    S: np.ndarray,
+    gate: float,
+    at: int,
+) -> Snapshot:
+    """Where an innovation is beyond the gate, widen what may be wrong with what was believed, before the source is.
+
+    First the steps of the wheels: they slip, by ten times what their steps are usually wrong by. Where that does not
+    do, and a source says again and again that the pose is off by the same, then the source is right: against a fix the
+    reference was laid wrong, else the base has been moved, or the source is wrong in a way that lasts, which nothing
+    tells apart; so the reference may be off by as much from now on.
+    S (k, k): of the innovation.
+    """
+    (r, H, _), source = observation, measurement.source
+    if not (
+        isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)
+        and _cholesky_kernels.squared_norm(S, r) > gate
+    ):
+        return now._replace(streaks=_without(now.streaks, source)) if source in now.streaks else now
+    if source in now.steps and now.tallies.keys() <= now.steps.keys():
+        return now  # nobody else can tell
+    fix, streaks = isinstance(measurement, PoseMeasurement), _without(now.streaks, source)
+    for wheels, added in now.steps.items():
+        M, Q = moving(now, wheels, source, at), np.sum(added, axis=0)
+        HM = H @ M
+        for s in _SLIPS:
+            if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
+                wide = now._replace(P=widened(now.P, M, s * Q), streaks=streaks)
+                return wide if source == wheels else _slipped(config, wide, wheels, s)
+    if source in now.steps:
+        return now
+    told = ekf.REFERENCE if fix else at
+    xi, before = np.linalg.lstsq(H[:, told : told + 3], r, rcond=None)[0], now.streaks.get(source)
+    same = before is not None and np.linalg.norm(xi - before.xi) < 0.5 * np.linalg.norm(xi)
+    times = before.times + 1 if before is not None and same else 1
+    if times <= config.gate_patience:
+        return now._replace(streaks={**streaks, source: Streak(times, xi)})
+    G = np.zeros((len(now.mean), 3))
+    G[ekf.REFERENCE : ekf.CLONES] = np.eye(3) if fix else se2.adjoint(now.mean[:3])
+    P = widened(now.P, G, np.outer(xi, xi))
+    for wheels in () if fix else now.steps or ("",):
+        P = widened(P, moving(now, wheels, source, at), np.outer(xi, xi))
+    return now._replace(P=P, streaks=streaks)
+
+
+def _slipped(config: FilterConfig, now: Snapshot, wheels: str, s: float) -> Snapshot:
+    """Let steps to come be as noisy as those that slipped, until innovations tell otherwise; a bump does not last."""
+    if config.noise_memory == 0.0 or s > _LASTING:
+        return now
+    name, coupled = process_noise(wheels), config.wheels.coupled
+    noise = inflated(now.noise.get(name, NOMINAL), 1.0 + s * coupled[1:])
+    return now._replace(noise={**now.noise, name: noise})
+
+
+def moving(now: Snapshot, wheels: str, source: str, at: int) -> np.ndarray:
+    """Return how an error of the pose (3,), which wheel odometry has made, is in the whole state (n, 3).
+
+    Where the wheels' own reading tells, the error is their clone's alone.
+    """
+    M, eye = np.zeros((len(now.mean), 3)), np.eye(3)
+    if wheels != source:
+        M[:3] = M[at : at + 3] = eye
+    if wheels in now.clones:
+        i = now.place(now.clones[wheels].number)
+        M[i : i + 3] = se2.adjoint(se2.between(now.mean[i : i + 3], now.mean[:3]))
+    return M
+
+
+def widened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    """Return P + M Q Mᵀ."""
+    P = P + M @ Q @ M.T
+    P = 0.5 * (P + P.T)
+    P.flags.writeable = False
+    return P
+
+
+def _without(streaks: Mapping[str, Streak], source: str) -> dict[str, Streak]:
+    return {name: streak for name, streak in streaks.items() if name != source}
+
+
+def bias_jumps_found(config: FilterConfig, now: Snapshot, innovation: float, variance: float) -> Snapshot:
+    """Where headings are off to one side again and again, let the gyro's bias have jumped.
+
+    innovation [rad]: of a heading, N(0, variance) and white where the filter is right. Their cumulative sum tells a
+    jump as soon as can be (Page 1954).
+    """
+    if not variance > 0.0:
+        return now
+    drift = now.drift + max(-4.0, min(4.0, float(innovation) / math.sqrt(variance)))
+    drift = math.copysign(max(abs(drift) - _USUAL, 0.0), drift)
+    if abs(drift) < _TOO_MUCH:
+        return now._replace(drift=drift)
+    P = now.P.copy()
+    P[9, 9] += (_STEP * config.initial_gyro_bias_deviation) ** 2
+    P.flags.writeable = False
+    return now._replace(P=P, drift=0.0)
