@@ -35,7 +35,7 @@ from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 _OWN = 0.05  # at least this part of a match's variance is its own
 # Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
 # keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
-_SAME = 0.7
+_SAME = 0.96
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _ROWS = np.array([0, 0, 1])  # translations and turn
