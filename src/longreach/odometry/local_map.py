@@ -36,7 +36,7 @@ class LocalMap:
     cells: Int[np.ndarray, "n c c 2"]
     elements: Float[np.ndarray, "m 6"]
     noise: float
-    poses: Float[np.ndarray, "n 3"]
+    poses: Float[np.ndarray, "k 3"]
 
     @cached_property
     def field(self) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +51,7 @@ class LocalMap:
 
 def keyframe(features: Features, pose: Float[np.ndarray, "3"]) -> Keyframe:
     """Make a keyframe of a scan's features at a pose in the map."""
-    elements = np.empty((4 * features.count + 64, _kernels.ELEMENT))
+    elements = np.empty((_kernels.PIECES * features.count + 2, _kernels.ELEMENT))
     n = _kernels.keyframe_elements(features.values, features.count, elements)
     return Keyframe(pose, elements[:n].copy(), features.noise)
 
