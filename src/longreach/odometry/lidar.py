@@ -102,9 +102,10 @@ def step(
     state, geometry = _geometry(state, scan)
     features = _features(state, scan, geometry, prior, period)
     if state.reference is None:
-        state = replace(state, stamp=scan.stamp, observed=scan.stamp)
-        match = ScanMatch(scan.stamp, None, "the scan is the first", 0, keyframe=True)
-        return (_restarted(state, features, geometry) if features.count >= _FEWEST else state), match
+        state, enough = replace(state, stamp=scan.stamp, observed=scan.stamp), features.count >= _FEWEST
+        reason = "the scan is the first" if enough else f"only {features.count} beams see something"
+        match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
+        return (_restarted(state, features, geometry) if enough else state), match
     twist = state.motion[0] if prior is None else se2.log(prior)
     before = state.predicted
     if prior is not None:
