@@ -233,10 +233,24 @@ def _matched(
     if not is_keyframe:
         return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
     reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
-    noise = fit.covariance - fit.shared
     return replace(
-        state, reference=reference, keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose
+        state,
+        reference=reference,
+        keyframe=scan.stamp,
+        keyframe_pose=pose,
+        keyframe_noise=_own_noise(fit) if np.array_equal(pose, fit.pose) else np.zeros((3, 3)),
+        pose=pose,
     ), match
+
+
+def _own_noise(fit: Fit) -> np.ndarray:
+    """Return the error (3, 3) with which a scan enters a map, but for directions that it does not show.
+
+    There its pose is the prior's, and so are those of later scans, which go on from it. A reference that begins anew
+    with a scan has none of this error.
+    """
+    seen = np.eye(3) - np.linalg.pinv(fit.directions) @ fit.directions
+    return seen @ (fit.covariance - fit.shared) @ seen
 
 
 def lidar_odometry(
