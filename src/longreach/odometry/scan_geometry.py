@@ -91,7 +91,7 @@ def same_tables(a: ScanGeometry, b: ScanGeometry) -> bool:
 
 
 def _same_beams(geometry: ScanGeometry, beams: int, angle_min: float, angle_increment: float) -> bool:
-    return (
+    return bool(
         beams == geometry.beams
         and abs(angle_min - geometry.angle_min) < 1e-6
         and abs(angle_increment - geometry.angle_increment) < 1e-9
