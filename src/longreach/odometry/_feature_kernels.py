@@ -114,10 +114,14 @@ def _surface_direction(sums, lo, hi):
     cxx = (sums[2, hi + 1] - sums[2, lo]) / m - sx * sx
     cxy = (sums[3, hi + 1] - sums[3, lo]) / m - sx * sy
     cyy = (sums[4, hi + 1] - sums[4, lo]) / m - sy * sy
-    t = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
-    nx, ny = -math.sin(t), math.cos(t)
-    across = max(cxx * nx * nx + 2.0 * cxy * nx * ny + cyy * ny * ny, 0.0)
-    return nx, ny, across, max(cxx + cyy - across, 0.0)
+    half = 0.5 * (cxx - cyy)
+    root = math.sqrt(half * half + cxy * cxy)
+    across, along = 0.5 * (cxx + cyy) - root, 0.5 * (cxx + cyy) + root
+    nx, ny = (cxy, -half - root) if half > 0.0 else (half - root, cxy)  # of the two rows that are normal, the longer
+    size = math.sqrt(nx * nx + ny * ny)
+    if size == 0.0:
+        return 1.0, 0.0, 1.0, 1.0
+    return nx / size, ny / size, max(across, 0.0), max(along, 0.0)
 
 
 @kernel
