@@ -9,7 +9,7 @@ differently:
   common with those to come, is counted once.
 
 The local reference is the keyframe before the last: its clone becomes the reference, and is no longer in the state,
-when the next keyframe has been placed. By then all scans that were matched to it have told where it is, and nothing is
+when the next keyframe has been placed. By then all scans that were matched to it have shown where it is, and nothing is
 lost when it has no gain any more. (With the last keyframe itself as the reference, the noise of its scan, which later
 scans tell, stays in odom; simulated drives were then up to twice as wrong.) Where there are no keyframes, or they are
 far, the reference is renewed on the way.
@@ -142,7 +142,7 @@ def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
 def _keyframe_seen(
     config: FilterConfig, now: Snapshot, event: Keyframe
 ) -> tuple[Snapshot, Correction, np.ndarray | None]:
-    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match tells.
+    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match measures.
 
     The clone is the last one. Returns also which part of its covariance is the scan's own noise.
     """
@@ -228,7 +228,7 @@ def _carried(
 def _corrected(
     config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
 ) -> tuple[Snapshot, Correction]:
-    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one.
+    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose observed, 0 the present one.
 
     What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
     """
