@@ -106,8 +106,8 @@ class Snapshot(NamedTuple):
     """The filter after one event (None: the start): mean (16 + 3m,), P, and by source clones, tallies, noise.
 
     steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the covariance of the pose since another
-    source observed it, through translations and through turns. streaks: by source, what it has said beyond the gate without
-    a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
+    source observed it, through translations and through turns. streaks: by source, what it has said beyond the gate
+    without a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 

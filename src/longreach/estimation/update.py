@@ -228,7 +228,7 @@ def _carried(
 def _corrected(
     config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
 ) -> tuple[Snapshot, Correction]:
-    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose observed, 0 the present one.
+    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose observed, 0: now.
 
     What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
     """
