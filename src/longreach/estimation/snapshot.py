@@ -1,5 +1,6 @@
 """What the filter holds after an event: mean, covariance, pose clones, and what it has learned of its sources."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -74,13 +75,14 @@ class Correction(NamedTuple):
 class Clone(NamedTuple):
     """A pose clone: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise.
 
-    keyframe: whether scans are matched to it.
+    keyframe: whether scans are matched to it. changed: stamp of the wheels' last reading that was a new one [s].
     """
 
     number: int
     stamp: float
     own: np.ndarray | None = None
     keyframe: bool = False
+    changed: float = math.inf
 
 
 class Streak(NamedTuple):
