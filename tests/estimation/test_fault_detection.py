@@ -89,7 +89,7 @@ def test_a_reading_that_hangs_is_passed_over_and_the_next_has_the_whole_way(rng)
     events, truth = drive(rng, wheels=hanging)
     errors, state = unchecked(errors_of, events, truth)
     assert errors[:, 0].max() < 0.02
-    assert errors[:, 1].max() < 0.01
+    assert errors[:, 1].max() < 0.02
     assert state.counters["wheels"].gated == 16
     assert state.counters["lidar"].inflated == 0
 

@@ -23,7 +23,10 @@ from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 _USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time, and its bound
 _STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
 _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match that is wrong
-_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the variance of the steps since another source observed the pose
+# [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 5 cm, 5°:
+# more, and a burst of wrong matches would carry the estimate off.
+_SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
+_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of that and the variance of the steps since another source observed the pose
 
 
 def faults_found(
@@ -53,7 +56,7 @@ def faults_found(
         return now  # nobody else can tell
     fix, streaks = isinstance(measurement, PoseMeasurement), _without(now.streaks, source)
     for wheels, added in now.steps.items():
-        M, Q = moving(now, wheels, source, at), np.sum(added, axis=0)
+        M, Q = moving(now, wheels, source, at), np.sum(added, axis=0) + _SMALLEST
         HM = H @ M
         for s in _SLIPS:
             if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
