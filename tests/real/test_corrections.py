@@ -5,7 +5,7 @@ import pytest
 from correction_bounds import corrections_of
 from real.conftest import unchecked
 
-from longreach.app.guides import lidar_events, wheel_events
+from longreach.app.filter_events import lidar_events, wheel_events
 from longreach.estimation import fusion, offline
 from longreach.odometry.wheel import wheel_odometry
 
