@@ -210,11 +210,11 @@ def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
 def _is_stale(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> bool:
     """Whether the wheels' reading is the last one once more: no step at all, at a speed that no base loses so soon.
 
-    A logger or driver that hangs does that for a second; the next new reading has the whole way in it. It takes another
-    source, and a speed beyond the base's limit of acceleration (√3 deviations) and 2 deviations of a reading.
+    A logger or driver that hangs does that for a second; the next new reading has the whole way in it. It takes scans,
+    and a speed beyond the base's limit of acceleration (√3 deviations) and 2 deviations of a reading.
     """
     clone, R = now.clones.get(step.source), step.reading_covariance
-    if R is None or clone is None or np.any(step.pose) or not now.tallies.keys() - {step.source}:
+    if R is None or clone is None or np.any(step.pose) or not any(c.keyframe for c in now.clones.values()):
         return False
     dt, speed = step.stamp - step.stamp_reference, math.hypot(now.mean[3], now.mean[4])
     braked = math.sqrt(3.0) * max(config.acceleration_deviation[:2]) * dt
