@@ -95,10 +95,12 @@ def test_all_that_can_be_given_is_used(run, bags, tmp_path, made):
     }
     answer = run("estimate", bags / "run.mcap", *(str(x) for pair in options.items() for x in pair))
     assert answer.code == 0, answer.err
-    fused = json.loads((tmp_path / "out" / "metrics.json").read_text())["fused"]
-    assert {"ate_rmse", "relations_5s_translation_mean", "nis_fixes_mean"} <= set(fused)
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    fused, localized = metrics["fused"], metrics["localized"]
+    assert {"ate_rmse", "relations_5s_translation_mean"} <= set(fused) & set(localized)
     assert "nis_imu_mean" not in fused
-    assert fused["nis_fixes_rows"]["value"] == 3
+    assert localized["nis_fixes_rows"]["value"] == 3
+    assert (tmp_path / "out" / "localized.tum").is_file()
     assert "distance: 0.5" in (tmp_path / "out" / "config.yaml").read_text()
 
 
