@@ -1,7 +1,7 @@
 """What every scan matcher offers, and what it is given and gives."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -55,6 +55,7 @@ class Fit:
 Reference = Any  # what a matcher makes of earlier scans, its own; it is never changed, only replaced
 
 
+@runtime_checkable
 class ScanMatcher(Protocol):
     """A way of matching scans."""
 
