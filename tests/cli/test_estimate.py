@@ -253,7 +253,7 @@ def test_one_scan_in_a_bag_is_refused(refused, made, thing, tmp_path):
         ("--truth", "nowhere.tum", "nowhere.tum is not there; the truth is a file or a topic of the recording."),
         ("--sources", "wheels,sonar", "sources.1 is 'sonar': input should be 'wheels', 'lidar', 'imu' or 'fixes'."),
         ("--sources", "fixes", "The recording has no fixes to fuse; it has wheels, lidar, imu."),
-        ("--robot", "wall-e", "wall-e is neither a robot that longreach knows (aces, brenner, husky, intel, "),
+        ("--robot", "wall-e", "wall-e is neither a robot that longreach knows (aces, brenner, csail, fr079, "),
     ],
 )
 def test_what_is_not_there_is_said(refused, bags, option, given, sentence):

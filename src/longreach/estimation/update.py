@@ -33,8 +33,9 @@ from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
 _OWN = 0.05  # at least this part of a match's variance is its own
-# Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
-# keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
+# Of the variance of a keyframe's match, the part that is the same error for the scans that are matched after it: nearly
+# all, for the scan enters the local map where that match put it. The rest is how the map itself drifts from keyframe to
+# keyframe; chosen so that the NEES of simulated drives is right (benchmarks/never_worse.py).
 _SAME = 0.96
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it

@@ -95,7 +95,7 @@ def _window(x, y, u, step, end):
 
 
 @kernel
-def _moments(x, y, sums):
+def _prefix_sums(x, y, sums):
     """Fill sums (5, n + 1) of x, y, x², xy, y² over the beams before each."""
     sums[:, 0] = 0.0
     for u in range(len(x)):
@@ -136,7 +136,7 @@ def scan_features(ranges, low, high, flipped, cos, sin, increment, mount, motion
     noise = max(range_noise(x, y, r, space), _SMALLEST_NOISE)
     first, last, sums = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((5, n + 1))
     _surface_ends(x, y, r, increment, first, last)
-    _moments(x, y, sums)
+    _prefix_sums(x, y, sums)
     c, s, k = math.cos(mount[2]), math.sin(mount[2]), 0
     for u in range(n):
         if r[u] <= 0.0:

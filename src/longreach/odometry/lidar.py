@@ -34,9 +34,9 @@ __all__ = ["LidarConfig", "LidarState", "init", "lidar_odometry", "step"]
 
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
 _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
-_DOUBTFUL = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
-_RECENT = 0.5  # [s] that the last motion tells of the next at most
-_LOST = 2  # scans without a match, after which the next one starts a reference anew
+_POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
+_RECENT = 0.5  # [s] over which the last motion predicts the next, at most
+_LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 
 
@@ -115,10 +115,12 @@ def step(
     moved = se2.exp(twist)
     expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG))
     fit = state.matcher.match(features, state.reference, geometry, expected)
-    if prior is not None and period < _RECENT and (isinstance(fit, str) or fit.support < _DOUBTFUL):  # wheels may have jumped
+    if (
+        prior is not None and period < _RECENT and (isinstance(fit, str) or fit.inlier_ratio < _POOR)
+    ):  # wheels may have jumped
         goes_on = _prior(state, se2.exp(state.motion[0]), scan.stamp, period)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
-        if not isinstance(other, str) and (isinstance(fit, str) or other.support > fit.support):
+        if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
             fit = other
     if isinstance(fit, str):
         if prior is not None:  # it alone shows how the motion goes on

@@ -36,7 +36,7 @@ class LocalMap:
     cells: Int[np.ndarray, "n c c 2"]
     elements: Float[np.ndarray, "m 6"]
     noise: float
-    poses: Float[np.ndarray, "n 3"]
+    poses: Float[np.ndarray, "k 3"]
 
     @cached_property
     def field(self) -> tuple[np.ndarray, np.ndarray]:

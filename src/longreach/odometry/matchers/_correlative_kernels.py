@@ -48,7 +48,7 @@ def _score(points, m, stride, x, y, t, origin, blocks, field, pooled):
 
 
 @kernel
-def _passing(points, m, stride, x, y, t, origin, blocks, field):
+def _through(points, m, stride, x, y, t, origin, blocks, field):
     """Return the share of beams that pass through a surface of the map on their way."""
     scale = FINE / CELL
     c, s, through, n = math.cos(t), math.sin(t), 0, 0
@@ -129,7 +129,7 @@ def search(points, m, guess, sigma, window, origin, blocks, field, pooled, best)
         if tops[k] == -math.inf or tops[k] < 0.8 * top or edge:
             continue  # what is best at the edge of the window may be better beyond
         x, y, t = poses[k]
-        value = tops[k] - _THROUGH * _passing(points, m, stride, x, y, t, origin, blocks, field)
+        value = tops[k] - _THROUGH * _through(points, m, stride, x, y, t, origin, blocks, field)
         if value > final:
             final = value
             best[0], best[1], best[2] = x, y, t
