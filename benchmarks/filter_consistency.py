@@ -37,7 +37,7 @@ def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
     error = np.zeros(13)
     P = state.belief.covariance
     measured = np.diag(P) > 0
-    error[measured] = _noise(P[np.ix_(measured, measured)], rng)
+    error[:10][measured] = _noise(P[np.ix_(measured, measured)], rng)
     mean = np.concatenate([state.belief.pose, state.history[-1].mean[3:13]])
     return motion.retract(mean, error)
 

@@ -1,11 +1,12 @@
-"""LIDAR odometry against keyframes: accuracy, consistency and time on made scans with exact truth, beside the bars.
+"""LIDAR odometry against a local map: accuracy, consistency and time on made scans with exact truth, beside the bars.
 
     python benchmarks/lidar_odometry.py --bench FOLDER [--seeds N] [--sets NAME ...] [--all] [--method METHOD]
 
 FOLDER holds scan_sim.py, which makes the scans: 60 s each, 270°. ATE: RMSE of the positions after the best rigid
 alignment; yaw: RMS of the heading after the same (still: without, as one place tells no rotation). Both are medians
-over the seeds. NEES: of each match's pose relative to its keyframe, 3 numbers, mean over all seeds (ideal 3). Time:
-processor time a scan, the least of the repeats. Beside it range flow (2016) in the same run. Exit code 1: a bar missed.
+over the seeds. NEES: of each match's pose relative to the newest keyframe, 3 numbers, mean over all seeds (ideal 3).
+Time: processor time a scan, the least of the repeats. Beside it range flow (2016) in the same run. Exit code 1: a bar
+missed.
 """
 
 import argparse

@@ -77,6 +77,35 @@ def test_steps_after_a_slip_are_as_noisy_as_those_that_slipped(leads):
     assert (log[1] > 0.3) == leads
 
 
+def test_a_reading_that_hangs_is_passed_over_and_the_next_has_the_whole_way(rng):
+    hung = [np.zeros(3)]
+
+    def hanging(i, z):
+        if 60 <= i < 76:
+            hung[0] = se2.compose(hung[0], z)
+            return np.zeros(3)
+        return se2.compose(hung[0], z) if i == 76 else z
+
+    events, truth = drive(rng, wheels=hanging)
+    errors, state = unchecked(errors_of, events, truth)
+    assert errors[:, 0].max() < 0.02
+    assert errors[:, 1].max() < 0.02
+    assert state.counters["wheels"].gated == 16
+    assert state.counters["lidar"].inflated == 0
+
+
+def test_a_base_that_stops_has_stopped(rng):
+    def stopping(i, z):
+        return se2.exp(se2.log(z) * np.clip(1.0 - 0.1 * (i - 60), 0.0, 1.0))
+
+    events, _ = drive(rng, wheels=stopping)
+    state = init(0.0, np.zeros(3), None, CONFIG)
+    for event in events:
+        if event.source == "wheels" or event.stamp < 0.1:
+            state, correction = step(state, event)
+            assert correction.status == "used"
+
+
 def test_wheels_alone_are_believed_whatever_they_say(rng):
     def jerking(i, z):
         return se2.exp(5.0 * se2.log(z)) if i in (60, 61, 90) else z

@@ -55,13 +55,13 @@ def test_stamps_of_a_logger_tell_no_rates(rng):
 
 def test_what_has_not_been_told_for_long_is_forgotten(rng):
     slip = told(rng, np.array([0.2, 0.0, 0.0]))
-    later = corrected(slip, np.zeros(3), np.zeros(3), slip.told + 3.0, ALL)
+    later = corrected(slip, np.zeros(3), np.zeros(3), slip.seen + 3.0, ALL)
     assert 0.0 < later.rate[0] < 0.06 * slip.rate[0]
 
 
 def test_the_way_slipped_adds_up_and_grows_less_sure(rng):
     slip = told(rng, np.array([0.2, 0.0, 0.0]))
-    t = slip.told + np.linspace(0.0, 2.0, 41)
+    t = slip.seen + np.linspace(0.0, 2.0, 41)
     parts = [way(slip, 1.0, a, b) for a, b in pairwise(t)]
     whole = way(slip, 1.0, t[0], t[-1])
     np.testing.assert_allclose(np.sum([xi for xi, _ in parts], axis=0), whole[0], atol=1e-12)

@@ -15,7 +15,7 @@ from longreach.io.config import (
 )
 from longreach.robot.description import RobotDescription
 
-SHIPPED = {"thing", "intel", "aces", "polimi", "brenner", "husky"}
+SHIPPED = {"thing", "intel", "aces", "fr079", "csail", "polimi", "brenner", "husky"}
 
 
 @pytest.fixture

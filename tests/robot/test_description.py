@@ -36,6 +36,8 @@ def test_which_robots_are_there_and_which_can_move_sideways():
         "polimi": True,
         "intel": False,
         "aces": False,
+        "fr079": False,
+        "csail": False,
         "brenner": False,
         "husky": False,
         "panda_cart": False,

@@ -101,7 +101,9 @@ def estimate(
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
     prior = wheels.measurements if "wheels" in sources else ()
-    alone, matches = _matches(recording, robot, config, prior, compared, tell)
+    alone, matches = None, ()
+    if "lidar" in sources or (compared and len(recording.scans) > 1):
+        alone, matches = _matches(recording, robot, config, prior, compared, tell)
     dead_reckoning = {
         "lidar": integrate(_found(alone or ()), [scan.stamp for scan in recording.scans]),
         "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),

@@ -18,7 +18,7 @@ def match_events(match: ScanMatch) -> list[Event]:
 
 
 def lidar_events(matches: Iterable[ScanMatch]) -> list[Event]:
-    """Return `match_events` of all, and the first keyframe, which no match tells of."""
+    """Return `match_events` of all, and the first keyframe, which no match leads to."""
     events: list[Event] = []
     for match in matches:
         if not events and match.measurement is not None:

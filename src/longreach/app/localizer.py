@@ -76,7 +76,7 @@ def init(
 ) -> LocalizerState:
     """Start at rest at a pose [m, m, rad] in the frame odom, which a run defines; it is exact there.
 
-    on_map: pose and covariance in the frame map, where something tells them: from then on it is told from odom.
+    on_map: pose and covariance in the frame map, where they are known; until the first fix map is odom otherwise.
     """
     config = config or EstimateConfig()
     chosen = filter_for(config, robot, _NOTHING)

@@ -13,7 +13,7 @@ from longreach.cli.tables import print_metrics
 def command(
     recording: Path = typer.Argument(help="A .bag, .mcap, ROS 2 folder, CARMEN log or text folder."),
     robot: str | None = typer.Option(
-        None, help="A shipped description (thing, intel, aces, polimi, …) or a YAML file."
+        None, help="A shipped description (thing, intel, fr079, polimi, …) or a YAML file."
     ),
     out: Path = typer.Option(..., help="Folder for the results; made if it is not there."),
     config: Path | None = typer.Option(

@@ -150,8 +150,8 @@ def _inflation(A, R, r, gate, L):
 def _retract_pose(i, dx, mean, G):
     """Move the pose at i of the mean; its error, seen from there, is Ad(exp(-dx)) times what is left of the old one.
 
-    J_r(dx) would be as good to first order, but what relative poses cannot tell, where all poses are together, would
-    then seem to be told by them, and the heading drift off with great certainty.
+    J_r(dx) would be as good to first order, but then a common motion of all poses, which relative poses do not observe,
+    would seem to be observed by them.
     """
     x, y, t = se2_exp(dx[i], dx[i + 1], dx[i + 2])
     mean[i], mean[i + 1], mean[i + 2] = se2_compose(mean[i], mean[i + 1], mean[i + 2], x, y, t)

@@ -23,9 +23,10 @@ from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 _USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time, and its bound
 _STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
 _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match that is wrong
-# [m², m², rad²] added to that, for wheels also stand still, or stop being logged, while the base moves; 1 cm, 1°
-_SMALLEST = np.diag([1e-4, 1e-4, 3e-4])
-_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # of the variance of the steps since another source told the pose
+# [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 5 cm, 5°:
+# more, and a burst of wrong matches would carry the estimate off.
+_SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
+_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of that and the variance of the steps since another source observed the pose
 
 
 def faults_found(
@@ -63,8 +64,8 @@ def faults_found(
                 return wide if source == wheels else _slipped(config, wide, wheels, s)
     if source in now.steps:
         return now
-    told = ekf.REFERENCE if fix else at
-    xi, before = np.linalg.lstsq(H[:, told : told + 3], r, rcond=None)[0], now.streaks.get(source)
+    i = ekf.REFERENCE if fix else at
+    xi, before = np.linalg.lstsq(H[:, i : i + 3], r, rcond=None)[0], now.streaks.get(source)
     same = before is not None and np.linalg.norm(xi - before.xi) < 0.5 * np.linalg.norm(xi)
     times = before.times + 1 if before is not None and same else 1
     if times <= config.gate_patience:

@@ -17,7 +17,7 @@ _LASTS = 1.0  # [s], time constant of the process: as long as a base takes to st
 _MEMORY = 40.0  # corrections over which products are averaged; a second of a fast scanner
 _CHANCE = 0.3  # correlation that may come by chance: two deviations
 _FASTEST = 1.0  # [m/s, rad/s]: what is more is a bump
-_GAP = 0.5  # [s] between corrections, after which the last does not tell of the next
+_GAP = 0.5  # [s] between corrections, after which the last has nothing to do with the next
 _REGULAR = 0.1  # of the time between corrections, that stamps may be off by: rates over shorter times are noise
 
 
@@ -26,7 +26,7 @@ class Slip(NamedTuple):
 
     together, alone (3,): means of the products of a rate seen with the one before the last, and with itself. For what
     one correction leaves is seen again with the next, so that neighbours share an error; those apart do not.
-    last (2, 3): the last two rates. left (3,): what the last correction left; told [s]: when that was.
+    last (2, 3): the last two rates. left (3,): what the last correction left; seen [s]: when that was.
     rhythm (2,): mean time between corrections, and how far off it they are [s].
     """
 
@@ -36,7 +36,7 @@ class Slip(NamedTuple):
     alone: Float[np.ndarray, "3"] = np.zeros(3)
     last: Float[np.ndarray, "2 3"] = np.zeros((2, 3))
     left: Float[np.ndarray, "3"] = np.zeros(3)
-    told: float = -math.inf
+    seen: float = -math.inf
     rhythm: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -53,30 +53,30 @@ NO_SLIP = Slip()
 def corrected(
     slip: Slip, r: Float[np.ndarray, "3"], xi: Float[np.ndarray, "3"], stamp: float, coupled: Float[np.ndarray, "3"]
 ) -> Slip:
-    """Return what is known where a source has told that the pose is off by r (3,), and it was moved by ξ (3,) for that.
+    """Return what is known where a source has shown the pose to be off by r (3,), and it was moved by ξ (3,) for that.
 
     coupled (3,): 1 in the axes in which the pose follows the wheels, else 0.
     """
-    dt, left = stamp - slip.told, r - xi
+    dt, left = stamp - slip.seen, r - xi
     if not 0.0 < dt <= _GAP:
         fading = math.exp(-dt / _LASTS) if 0.0 < dt < math.inf else 0.0
-        return slip._replace(rate=fading * slip.rate, last=np.zeros((2, 3)), left=left, told=max(stamp, slip.told))
+        return slip._replace(rate=fading * slip.rate, last=np.zeros((2, 3)), left=left, seen=max(stamp, slip.seen))
     fading = math.exp(-dt / _LASTS)
     before = fading * slip.rate
-    seen = np.clip(coupled * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
-    together = slip.together + (seen * slip.last[0] - slip.together) / _MEMORY
-    alone = slip.alone + (seen * seen - slip.alone) / _MEMORY
+    rate = np.clip(coupled * ((r - slip.left) / dt + before), -_FASTEST, _FASTEST)
+    together = slip.together + (rate * slip.last[0] - slip.together) / _MEMORY
+    alone = slip.alone + (rate * rate - slip.alone) / _MEMORY
     mean, off = slip.rhythm
     rhythm = mean + (dt - mean) / _MEMORY, off + (abs(dt - mean) - off) / _MEMORY
-    after = Slip(before, slip.variance, together, alone, np.stack([slip.last[1], seen]), left, stamp, rhythm)
+    after = Slip(before, slip.variance, together, alone, np.stack([slip.last[1], rate]), left, stamp, rhythm)
     lasting = after.lasting
     if not lasting.any():
         return after._replace(rate=np.zeros(3), variance=np.zeros(3))
     variance = fading * fading * slip.variance + (1.0 - fading * fading) * lasting
     noise = np.maximum(alone - np.maximum(together, 0.0), 0.01 * alone)
     gain = np.divide(variance, variance + noise, out=np.zeros(3), where=lasting > 0.0)
-    rate = np.where(lasting > 0.0, before + gain * (seen - before), 0.0)
-    return after._replace(rate=rate, variance=(1.0 - gain) * variance)
+    filtered = np.where(lasting > 0.0, before + gain * (rate - before), 0.0)
+    return after._replace(rate=filtered, variance=(1.0 - gain) * variance)
 
 
 def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -84,14 +84,14 @@ def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.nd
 
     speed [m/s]: of the base, as its wheels count.
     """
-    t0, t1 = max(begin - slip.told, 0.0), max(end - slip.told, 0.0)
+    t0, t1 = max(begin - slip.seen, 0.0), max(end - slip.seen, 0.0)
     lasting = _LASTS * (math.exp(-t0 / _LASTS) - math.exp(-t1 / _LASTS))
     return lasting * _possible(slip, speed), _spread(slip, t1) - _spread(slip, t0)
 
 
 def velocity(slip: Slip, speed: float, stamp: float) -> Float[np.ndarray, "3"]:
     """Return the velocity (3,) that wheels do not count at a time [s], where they count a speed [m/s]."""
-    return math.exp(-max(stamp - slip.told, 0.0) / _LASTS) * _possible(slip, speed)
+    return math.exp(-max(stamp - slip.seen, 0.0) / _LASTS) * _possible(slip, speed)
 
 
 def _possible(slip: Slip, speed: float) -> Float[np.ndarray, "3"]:
@@ -100,6 +100,6 @@ def _possible(slip: Slip, speed: float) -> Float[np.ndarray, "3"]:
 
 
 def _spread(slip: Slip, t: float) -> Float[np.ndarray, "3"]:
-    """Return the variance (3,) of the way slipped in t [s] since the slip was told."""
+    """Return the variance (3,) of the way slipped in t [s] since the slip was seen."""
     variance = slip.variance + slip.lasting * min(1.0, 2.0 * t / _LASTS)
     return variance * t * t / (1.0 + 0.5 * t / _LASTS)

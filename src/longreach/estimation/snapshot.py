@@ -1,5 +1,6 @@
 """What the filter holds after an event: mean, covariance, pose clones, and what it has learned of its sources."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -74,13 +75,14 @@ class Correction(NamedTuple):
 class Clone(NamedTuple):
     """A pose clone: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise.
 
-    keyframe: whether scans are matched to it.
+    keyframe: whether scans are matched to it. changed: stamp of the wheels' last reading that was a new one [s].
     """
 
     number: int
     stamp: float
     own: np.ndarray | None = None
     keyframe: bool = False
+    changed: float = math.inf
 
 
 class Streak(NamedTuple):
@@ -106,8 +108,8 @@ class Snapshot(NamedTuple):
     """The filter after one event (None: the start): mean (16 + 3m,), P, and by source clones, tallies, noise.
 
     steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the covariance of the pose since another
-    source told it, through translations and through turns. streaks: by source, what it has said beyond the gate without
-    a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
+    source observed it, through translations and through turns. streaks: by source, what it has said beyond the gate
+    without a break. slip: of the wheels. drift: cumulative sum of the innovations of headings, each over its deviation.
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 

@@ -9,7 +9,7 @@ differently:
   common with those to come, is counted once.
 
 The local reference is the keyframe before the last: its clone becomes the reference, and is no longer in the state,
-when the next keyframe has been placed. By then all scans that were matched to it have told where it is, and nothing is
+when the next keyframe has been placed. By then all scans that were matched to it have shown where it is, and nothing is
 lost when it has no gain any more. (With the last keyframe itself as the reference, the noise of its scan, which later
 scans tell, stays in odom; simulated drives were then up to twice as wrong.) Where there are no keyframes, or they are
 far, the reference is renewed on the way.
@@ -33,11 +33,13 @@ from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
 _OWN = 0.05  # at least this part of a match's variance is its own
-# Of the variance of what a scan shows, the part that is the same error where the scan is matched and where it is the
-# keyframe of others: measured on simulated drives, correlations of 0.75 to 0.85; ours, a little less.
+# Of the variance of a keyframe's match, the part that is the same error for the scans that are matched after it: nearly
+# all, for the scan enters the local map where that match put it. The rest is how the map itself drifts from keyframe to
+# keyframe; chosen so that the NEES of simulated drives is right (benchmarks/never_worse.py).
 _SAME = 0.96
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
+_STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
 _ROWS = np.array([0, 0, 1])  # translations and turn
 _NOTHING_ADDED = np.zeros((2, 3, 3))
 
@@ -58,6 +60,8 @@ def take(
     if not isinstance(event, RelativePoseMeasurement):
         after, correction = _corrected(config, now, event)
     elif event.reading_covariance is not None:
+        if _is_stale(config, now, event):
+            return _passed_over(now, event)
         after, correction = _corrected(config, *_carried(config, now, event))
     else:
         now, event = _apart(now, event)
@@ -142,7 +146,7 @@ def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
 def _keyframe_seen(
     config: FilterConfig, now: Snapshot, event: Keyframe
 ) -> tuple[Snapshot, Correction, np.ndarray | None]:
-    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match tells.
+    """Clone the pose at a keyframe's stamp; with a match, the pose as the scan shows it, which the match measures.
 
     The clone is the last one. Returns also which part of its covariance is the scan's own noise.
     """
@@ -204,6 +208,31 @@ def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
     return P
 
 
+def _is_stale(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> bool:
+    """Whether the wheels' reading is the last one once more: no step at all, at a speed that no base loses so soon.
+
+    A logger or driver that hangs does that for a second; the next new reading has the whole way in it. It takes scans,
+    and a speed beyond the base's limit of acceleration (√3 deviations) and 2 deviations of a reading.
+    """
+    clone, R = now.clones.get(step.source), step.reading_covariance
+    if R is None or clone is None or np.any(step.pose) or not any(c.keyframe for c in now.clones.values()):
+        return False
+    dt, speed = step.stamp - step.stamp_reference, math.hypot(now.mean[3], now.mean[4])
+    braked = math.sqrt(3.0) * max(config.acceleration_deviation[:2]) * dt
+    seen = speed * dt > 2.0 * math.sqrt(max(R[0, 0], R[1, 1]))
+    return bool(speed > braked and seen and step.stamp - min(clone.changed, step.stamp_reference) < _STALE)
+
+
+def _passed_over(now: Snapshot, step: RelativePoseMeasurement) -> tuple[Snapshot, Correction]:
+    """Leave the clone where the last new reading put it, for the step that comes after this one."""
+    clone = now.clones[step.source]
+    clone = clone._replace(stamp=step.stamp, changed=min(clone.changed, step.stamp_reference))
+    tally = now.tallies.get(step.source, Tally())
+    tallies = {**now.tallies, step.source: tally._replace(gated=tally.gated + 1)}
+    now = now._replace(clones={**now.clones, step.source: clone}, tallies=tallies)
+    return now, Correction(step.stamp, step.source, "gated", "the reading of the wheels is the last one once more")
+
+
 def _carried(
     config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement
 ) -> tuple[Snapshot, RelativePoseMeasurement]:
@@ -220,7 +249,7 @@ def _carried(
     mean, P, T = ekf.carry(config.wheels, now.mean, now.P, now.place(clone.number), step.pose, Q)
     A, parts = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
     steps = {**now.steps, step.source: A @ now.steps.get(step.source, _NOTHING_ADDED) @ A.T + parts}
-    clones = {**now.clones, step.source: clone._replace(stamp=step.stamp)}
+    clones = {**now.clones, step.source: clone._replace(stamp=step.stamp, changed=math.inf)}
     at_clone = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
     return _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps), at_clone
 
@@ -228,7 +257,7 @@ def _carried(
 def _corrected(
     config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
 ) -> tuple[Snapshot, Correction]:
-    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose told, 0 the present one.
+    """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose observed, 0: now.
 
     What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
     """

@@ -95,7 +95,7 @@ def _window(x, y, u, step, end):
 
 
 @kernel
-def _moments(x, y, sums):
+def _prefix_sums(x, y, sums):
     """Fill sums (5, n + 1) of x, y, x², xy, y² over the beams before each."""
     sums[:, 0] = 0.0
     for u in range(len(x)):
@@ -114,10 +114,14 @@ def _surface_direction(sums, lo, hi):
     cxx = (sums[2, hi + 1] - sums[2, lo]) / m - sx * sx
     cxy = (sums[3, hi + 1] - sums[3, lo]) / m - sx * sy
     cyy = (sums[4, hi + 1] - sums[4, lo]) / m - sy * sy
-    t = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
-    nx, ny = -math.sin(t), math.cos(t)
-    across = max(cxx * nx * nx + 2.0 * cxy * nx * ny + cyy * ny * ny, 0.0)
-    return nx, ny, across, max(cxx + cyy - across, 0.0)
+    half = 0.5 * (cxx - cyy)
+    root = math.sqrt(half * half + cxy * cxy)
+    across, along = 0.5 * (cxx + cyy) - root, 0.5 * (cxx + cyy) + root
+    nx, ny = (cxy, -half - root) if half > 0.0 else (half - root, cxy)  # of the two rows that are normal, the longer
+    size = math.sqrt(nx * nx + ny * ny)
+    if size == 0.0:
+        return 1.0, 0.0, 1.0, 1.0
+    return nx / size, ny / size, max(across, 0.0), max(along, 0.0)
 
 
 @kernel
@@ -132,7 +136,7 @@ def scan_features(ranges, low, high, flipped, cos, sin, increment, mount, motion
     noise = max(range_noise(x, y, r, space), _SMALLEST_NOISE)
     first, last, sums = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((5, n + 1))
     _surface_ends(x, y, r, increment, first, last)
-    _moments(x, y, sums)
+    _prefix_sums(x, y, sums)
     c, s, k = math.cos(mount[2]), math.sin(mount[2]), 0
     for u in range(n):
         if r[u] <= 0.0:

@@ -178,7 +178,7 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
     and the variance of that over σ².
     """
     n, reach = 0, max(int(radius / CELL), 1)
-    c, s, sharp = math.cos(pose[2]), math.sin(pose[2]), 4.0 / (radius * radius)
+    c, s, narrow = math.cos(pose[2]), math.sin(pose[2]), 1.0 / (radius * radius)
     for u in range(0, m, stride):
         rx, ry = c * points[0, u] - s * points[1, u], s * points[0, u] + c * points[1, u]
         qx, qy = rx + pose[0], ry + pose[1]
@@ -200,11 +200,12 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
                         break
                     ex, ey = qx - elements[j, 0], qy - elements[j, 1]
                     d2 = ex * ex + ey * ey
-                    if d2 > radius * radius or elements[j, 2] * dx + elements[j, 3] * dy > 0.0:
+                    near = 1.0 - d2 * narrow
+                    if near <= 0.0 or elements[j, 2] * dx + elements[j, 3] * dy > 0.0:
                         continue
                     if has_normal and elements[j, 2] * px + elements[j, 3] * py < 0.5:
                         continue
-                    near = math.exp(-d2 * sharp)
+                    near *= near * near
                     w = near * elements[j, 4]
                     weight += w
                     distance += w * (elements[j, 2] * ex + elements[j, 3] * ey)
@@ -213,12 +214,12 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
                     count += near * elements[j, 4]
                     info += near * elements[j, 5]
         size = math.hypot(nx, ny)
-        if weight < 1e-3 or size < 0.5 * weight:
+        if weight < 1e-3 or size < 0.9 * weight:
             continue
         nx /= size
         ny /= size
         facing = nx * dx + ny * dy
-        density = count / (0.886 * radius)  # returns a metre: the integral of exp(-4 s²/radius²) is 0.886 radius
+        density = count / (0.914 * radius)  # returns a metre: the integral of (1 - s²/radius²)³ is 32/35 radius
         rows[0, n] = nx * c + ny * s
         rows[1, n] = ny * c - nx * s
         rows[2, n] = ny * rx - nx * ry

@@ -33,7 +33,10 @@ from longreach.odometry.scan_match import ScanMatch
 __all__ = ["LidarConfig", "LidarState", "init", "lidar_odometry", "step"]
 
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
-_LOST = 2  # scans without a match, after which the next one starts a reference anew
+_LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
+_POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
+_RECENT = 0.5  # [s] over which the last motion predicts the next, at most
+_LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 
 
@@ -111,8 +114,15 @@ def step(
     if prior is not None:
         state = replace(state, predicted=_mean(before, twist, period))
     moved = se2.exp(twist)
-    expected = _prior(state, moved, scan.stamp, period)
+    expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG))
     fit = state.matcher.match(features, state.reference, geometry, expected)
+    if (
+        prior is not None and period < _RECENT and (isinstance(fit, str) or fit.inlier_ratio < _POOR)
+    ):  # wheels may have jumped
+        goes_on = _prior(state, se2.exp(state.motion[0]), scan.stamp, period)
+        other = state.matcher.match(features, state.reference, geometry, goes_on)
+        if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
+            fit = other
     if isinstance(fit, str):
         if prior is not None:  # it alone shows how the motion goes on
             state = replace(state, motion=np.array([twist, state.motion[1] + state.predicted - before]))
@@ -150,15 +160,17 @@ def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
     return mean + -math.expm1(-period / _LASTING) * (last - mean)
 
 
-def _prior(state: LidarState, moved: np.ndarray, stamp: float, period: float) -> Prior:
+def _prior(state: LidarState, moved: np.ndarray, stamp: float, unknown: float) -> Prior:
     """Predict the base's pose in the reference, wide: it says where to look, and not what to find.
+
+    unknown [s]: for how long the base may have accelerated without the prediction knowing of it.
 
     What has not been observed for a while is off by ever more of the same, not at random: its deviation grows with
     time, from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
     """
     config = state.config
     far, turned = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
-    linear, angular = (a * min(period, 1.0) ** 2 for a in config.prior_acceleration)
+    linear, angular = (a * min(unknown, 1.0) ** 2 for a in config.prior_acceleration)
     at = config.prior_position + config.prior_motion * far + linear
     to = config.prior_heading + config.prior_motion * turned + 0.1 * far + angular
     sigma = np.sqrt(state.variance + np.array([at * at, at * at, to * to]))

@@ -39,7 +39,9 @@ class LidarConfig(BaseModel):
     prior_acceleration: tuple[float, float] = Field(
         default=(1.0, 2.0), description="Accelerations that a prediction does not know of [m/s², rad/s²]."
     )
-    known: float = Field(default=3.0, ge=1, description="Information over that from errors of lines alone [1]; ours.")
+    known: float = Field(
+        default=3.0, ge=1, description="Information over that from errors of the surfaces' directions alone [1]; ours."
+    )
     common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
     coarse: float = Field(default=0.4, gt=0, description="Radius of a surface in the first fit [m].")
     fine: float = Field(default=0.18, gt=0, description="Radius of a surface in the last fit [m].")

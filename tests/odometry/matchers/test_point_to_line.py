@@ -96,7 +96,7 @@ def test_a_small_offset_of_the_prior_is_recovered_to_less_than_the_noise(offset,
     to, pose = map_of([HERE], rng=rng), se2.compose(HERE, STEP)
     found = match(scan_at(pose, rng=rng), to, se2.compose(pose, np.array(offset)))
     assert np.abs(se2.difference(found.pose, pose)).max() < 0.01 / 3
-    assert found.support > 0.8
+    assert found.inlier_ratio > 0.8
     assert len(found.directions) == 0
 
 

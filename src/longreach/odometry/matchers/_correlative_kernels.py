@@ -48,7 +48,7 @@ def _score(points, m, stride, x, y, t, origin, blocks, field, pooled):
 
 
 @kernel
-def _passing(points, m, stride, x, y, t, origin, blocks, field):
+def _through(points, m, stride, x, y, t, origin, blocks, field):
     """Return the share of beams that pass through a surface of the map on their way."""
     scale = FINE / CELL
     c, s, through, n = math.cos(t), math.sin(t), 0, 0
@@ -72,6 +72,8 @@ def _passing(points, m, stride, x, y, t, origin, blocks, field):
 @kernel
 def search(points, m, guess, sigma, window, origin, blocks, field, pooled, best):
     """Fill best (3,) with the pose about a guess (3,) at which the scan agrees best, and return how well, 0 to 1.
+
+    Where that is only at the edge of the window, best stays as it is.
 
     sigma (3,): deviations of the guess [m, m, rad], along its own axes; window: how many of them are searched.
     """
@@ -123,10 +125,11 @@ def search(points, m, guess, sigma, window, origin, blocks, field, pooled, best)
         top = max(top, tops[k])
     final = -math.inf
     for k in range(_KEPT):
-        if tops[k] == -math.inf or tops[k] < 0.8 * top:
-            continue
+        edge = abs(at[k, 2]) >= nt or abs(at[k, 0]) >= max(nx, 2) or abs(at[k, 1]) >= max(ny, 2)
+        if tops[k] == -math.inf or tops[k] < 0.8 * top or edge:
+            continue  # what is best at the edge of the window may be better beyond
         x, y, t = poses[k]
-        value = tops[k] - _THROUGH * _passing(points, m, stride, x, y, t, origin, blocks, field)
+        value = tops[k] - _THROUGH * _through(points, m, stride, x, y, t, origin, blocks, field)
         if value > final:
             final = value
             best[0], best[1], best[2] = x, y, t

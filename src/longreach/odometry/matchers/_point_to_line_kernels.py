@@ -133,7 +133,7 @@ def align(
     """Move the base's pose (3,) until the points lie on the surfaces; leave H diagonal in its eigenbasis V.
 
     First a few points on surfaces taken over a wide radius, then all of them. Along directions that are not observable
-    the pose stays at the prior. Returns the rows, the scale of the residuals and the sum of the robust weights. After
+    the pose is the prior's. Returns the rows, the scale of the residuals and the sum of the robust weights. After
     a step below a tenth of the noise points stay on their surfaces.
     """
     n, scale, total, step = 0, 0.0, 0.0, math.inf
@@ -159,11 +159,12 @@ def align(
         prior_pull(guess, pose, sigma, reach, scale, V, prior)
         d[:] = 0.0
         for k in range(3):
+            along, weight = prior[0, k], prior[1, k]
             if observable[k] > 0.0:
-                along = V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2 + prior[0, k]
-                along /= H[k, k] + prior[1, k]
-                for i in range(3):
-                    d[i] += V[i, k] * along
+                along += V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2
+                weight += H[k, k]
+            for i in range(3):
+                d[i] += V[i, k] * along / weight
         dx, dy, dt = se2_exp(d[0], d[1], d[2] / reach)
         pose[0], pose[1], pose[2] = se2_compose(pose[0], pose[1], pose[2], dx, dy, dt)
         step = abs(d[0]) + abs(d[1]) + abs(d[2])

@@ -1,10 +1,10 @@
-"""Point-to-line matching against a local map: a coarse search over the prior's window where it is wide, then a fit.
+"""Point-to-line matching against a local map: a fit from the prior, and a search over its window where that is poor.
 
 As point-to-line ICP (Censi 2008), with these differences:
 * the surface at a point is the implicit moving least squares mean of all that the map's keyframes saw there
   (Kolluri 2008; as IMLS-SLAM, Deschaud 2018), first over a wide radius, then over a narrow one;
-* where the prior is wider than the fit can bridge, a correlative search (Olson 2009) says where to start;
-* distances weigh by the noise along the beam, and fall out beyond four times what they are found to scatter;
+* where less agrees than should, a correlative search over the prior's window (Olson 2009) gives another start;
+* distances weigh by the noise along the beam, and have no weight beyond five times what they are found to scatter;
 * the covariance comes from the residuals at the solution (`_point_to_line_kernels.sandwich`).
 """
 
@@ -23,8 +23,8 @@ from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
 from longreach.odometry.scan_geometry import ScanGeometry
 
 _FEWEST = 12  # returns on surfaces of the map, below which there is no match
-_LEAST_SUPPORT = 0.1  # share of the returns that agree, below which there is no match
-_DOUBTFUL = 0.75  # share below which a search looks for a better start
+_FEWEST_INLIERS = 0.1  # share of the returns that agree, below which there is no match
+_POOR = 0.75  # share below which a search looks for a better start
 _WINDOW = 3.0  # deviations of the prior that are searched
 _WIDEST = np.array([0.7, 0.7, 0.35])  # deviations [m, m, rad] of a window at most
 
@@ -78,7 +78,7 @@ class PointToLine:
         if features.count < _FEWEST:
             return f"only {features.count} beams see something"
         found = self._fit(features, reference, prior, prior.pose)
-        if found.support < _DOUBTFUL:
+        if found.inlier_ratio < _POOR:
             start, sigma = np.array(prior.pose), np.minimum(prior.sigma, _WIDEST)
             _correlative_kernels.search(
                 features.values,
@@ -91,7 +91,7 @@ class PointToLine:
                 start,
             )
             other = self._fit(features, reference, prior, start)
-            found = other if other.support > found.support else found
+            found = other if other.inlier_ratio > found.inlier_ratio else found
         return _fault(found) or found
 
     def _fit(self, features: Features, to: LocalMap, prior: Prior, start: np.ndarray) -> Fit:
@@ -136,6 +136,6 @@ def _fault(found: Fit) -> str:
     """Return why a fit is none, or nothing."""
     if found.rows < _FEWEST:
         return f"only {found.rows} beams see something that the map has"
-    if found.support < _LEAST_SUPPORT:
-        return f"only {100 * found.support:.0f} % of the beams agree with the map"
+    if found.inlier_ratio < _FEWEST_INLIERS:
+        return f"only {100 * found.inlier_ratio:.0f} % of the beams agree with the map"
     return "" if math.isfinite(found.scale) else "the match is not finite"

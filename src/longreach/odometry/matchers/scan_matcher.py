@@ -40,7 +40,7 @@ class Fit:
     """A pose (3,) of the base in the frame of the reference, with its covariance, and how well it explains the scan.
 
     shared (3, 3): the part of the covariance that is the reference's noise. directions (k, 3): of ξ, along which the
-    scan shows nothing: there the pose is the prior's. support: share of the returns that agree but for noise.
+    scan shows nothing: there the pose is the prior's. inlier_ratio: share of the returns that agree but for noise.
     """
 
     pose: Float[np.ndarray, "3"]
@@ -48,7 +48,7 @@ class Fit:
     shared: Float[np.ndarray, "3 3"]
     rows: int
     scale: float
-    support: float
+    inlier_ratio: float
     directions: Float[np.ndarray, "k 3"]
 
 

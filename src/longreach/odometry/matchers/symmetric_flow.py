@@ -23,7 +23,7 @@ from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
 from longreach.odometry.scan_geometry import ScanGeometry, same_tables
 
 _FEWEST = 12  # beams that see something in both scans, below which there is no match
-_LEAST_SUPPORT = 0.1  # share of the returns that agree, below which there is no match
+_FEWEST_INLIERS = 0.1  # share of the returns that agree, below which there is no match
 _OVERLAP = 0.6  # beams that the keyscan explains at least
 _REACH = 0.3  # [m] neighbours further away in range are not smoothed; the authors' code of 2016
 # Rotation [rad] since the keyscan beyond which there is a new one, a polynomial of the translation [m]; the authors'
@@ -120,17 +120,17 @@ class SymmetricFlow:
             observable,
         )
         used = rows // 2 if with_last else rows
-        support = agree / max(rows, 1) * min(used / max(min(features.count, key.count), 1), 1.0)
+        inlier_ratio = agree / max(rows, 1) * min(used / max(min(features.count, key.count), 1), 1.0)
         if used < _FEWEST:
             return f"only {used} beams see something that the keyscan saw"
-        if support < _LEAST_SUPPORT or not np.isfinite(scale):
-            return f"only {100 * support:.0f} % of the beams agree with the keyscan"
+        if inlier_ratio < _FEWEST_INLIERS or not np.isfinite(scale):
+            return f"only {100 * inlier_ratio:.0f} % of the beams agree with the keyscan"
         directions = np.zeros((0, 3))
         if not observable.all():
             directions = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
             directions = directions @ se2.adjoint(g.pose_base_laser).T
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Fit(pose, covariance, 0.5 * covariance, used, scale, support, directions)
+        return Fit(pose, covariance, 0.5 * covariance, used, scale, inlier_ratio, directions)
 
     def is_far(self, fit: Fit, features: Keyscan, geometry: ScanGeometry, reference: Scans) -> bool:
         """Whether the rotation is too large for the translation, as the method's authors have it."""
