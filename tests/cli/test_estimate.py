@@ -166,7 +166,7 @@ def test_beams_of_changing_count_are_said(run, carmen, tmp_path):
     )
     assert answer.code == 0, answer.err
     assert "note: The number of beams changes within the log." in answer.out
-    assert "note: 1 of 3 scans gave no match; the first because the scan is the first of its kind" in answer.out
+    assert "gave no match" not in answer.out
 
 
 def test_a_bag_that_is_none_is_refused(refused, tmp_path):

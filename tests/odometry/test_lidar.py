@@ -270,6 +270,31 @@ def test_sweeps_of_a_base_that_turns_to_and_fro_at_two_radians_a_second_are_far_
     assert (np.median(with_it, axis=0) < 0.45 * np.median(without, axis=0)).all()
 
 
+def test_sweeps_of_a_laser_off_the_middle_and_turned_are_undistorted_by_its_own_motion(rng):
+    n, mount = 360, np.array([0.6, -0.3, 1.2])
+    T = se3.from_rotation_translation(so3.from_roll_pitch_yaw(0.0, 0.0, mount[2]), np.array([*mount[:2], 0.2]))
+    twists = [np.array([0.02, 0.0, 0.2 * np.sin(0.1 * i)]) for i in range(40)]
+    poses = [np.array([-1.0, 0.0, 0.0])]
+    for twist in twists[:-1]:
+        poses.append(se2.compose(poses[-1], se2.exp(twist)))
+    A = se2.adjoint(se2.inverse(mount))
+    sweeps = sweeps_along([se2.compose(pose, mount) for pose in poses], [A @ twist for twist in twists])
+    sweeps = [r + 0.01 * rng.standard_normal(n) for r in sweeps]
+    scans = [LaserScan(0.1 * i, r, -np.pi, 2 * np.pi / n, time_increment=0.1 / n) for i, r in enumerate(sweeps)]
+    matches = lidar_odometry(scans, T, priors=[None, *(se2.exp(twist) for twist in twists[:-1])])
+    errors = np.abs([error_of(match, poses) for match in matches])
+    assert (np.median(errors, axis=0) < 0.004).all()
+
+
+@pytest.mark.parametrize("jump", [(1.5, 0.0, 0.0), (0.0, 0.0, 1.5), (-0.7, 1.0, 0.8)], ids=str)
+def test_wheels_that_jump_do_not_take_the_match_along(jump, rng):
+    poses = along(STEP, 12)
+    priors = [None, *[STEP] * 12]
+    priors[7] = se2.compose(STEP, np.array(jump))
+    for match in lidar_odometry(scans_along(poses, rng=rng), NOWHERE, priors=priors):
+        assert np.abs(error_of(match, poses)).max() < 0.01
+
+
 def test_a_first_scan_that_sees_nothing_is_no_keyframe_and_the_next_one_is():
     scans = scans_along(along(STEP, 3))
     scans[0] = replace(scans[0], ranges=np.zeros(360))

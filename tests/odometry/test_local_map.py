@@ -74,16 +74,17 @@ def test_a_sparse_scan_in_a_large_hall_leaves_the_surface_of_its_last_beams_too(
         assert np.hypot(*(made[:, :2] - features.values[:2, beam]).T).min() < CELL
 
 
-def test_a_thin_wall_seen_from_both_sides_keeps_two_surfaces(rng):
-    wall = box(2.0, 0.0, 0.04, 3.0, 0.0)
+def test_a_thin_wall_seen_from_both_sides_keeps_two_surfaces_within_one_row_of_cells(rng):
+    wall = box(2.05, 0.0, 0.04, 3.0, 0.0)
     found = map_of([(0.5, 0.0, 0.0), (3.5, 0.0, np.pi), (0.7, 0.3, 0.1)], walls=wall, rng=rng)
     for y in (-0.6, 0.05, 0.45):
-        normals = normals_at(found, 2.0, y, 0.1)
+        normals = normals_at(found, 2.05, y, 0.1)
         assert (np.abs(normals[:, 0]) > 0.9).all()
         assert normals[:, 0].min() < 0.0 < normals[:, 0].max()
     left, right = found.elements[found.elements[:, 2] < -0.9], found.elements[found.elements[:, 2] > 0.9]
-    np.testing.assert_allclose(left[:, 0], 1.98, atol=0.03)
-    np.testing.assert_allclose(right[:, 0], 2.02, atol=0.03)
+    np.testing.assert_allclose(left[:, 0], 2.03, atol=0.03)
+    np.testing.assert_allclose(right[:, 0], 2.07, atol=0.03)
+    assert abs(np.mean(right[:, 0]) - np.mean(left[:, 0]) - 0.04) < 0.01
 
 
 def test_whatever_surfaces_lie_in_a_cell_all_elements_have_unit_normals(rng):

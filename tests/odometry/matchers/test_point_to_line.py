@@ -87,6 +87,10 @@ def test_a_point_sees_only_surfaces_that_face_the_laser():
     front, back = (features_of(scan_at(pose, walls=wall)) for pose in ((0.3, 0.0, 0.0), (4.0, 0.0, np.pi)))
     assert rows_at(front, to, np.array([0.3, 0.0, 0.0])).shape[1] > 50
     assert rows_at(back, to, np.array([4.0, 0.0, np.pi])).shape[1] == 0
+    for features, pose, sees in ((front, [0.3, 0.0, 0.0], True), (back, [4.0, 0.0, np.pi], False)):
+        values = features.values.copy()
+        values[5:7], values[7] = 0.0, np.inf  # nor do points without normals
+        assert (rows_at(replace(features, values=values), to, np.array(pose)).shape[1] > 0) is sees
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,17 @@ def test_what_is_not_known_of_the_last_scan_goes_on_where_it_takes_part(with_las
         assert vague == known
 
 
+def test_scans_of_as_many_beams_at_other_angles_are_not_matched():
+    matcher, scan = SymmetricFlow(with_last=False), scans_along(along(STEP, 0))[0]
+    other = replace(scan, angle_min=scan.angle_min + 0.1)
+    geometry, turned = scan_geometry(scan, NOWHERE, 5), scan_geometry(other, NOWHERE, 5)
+    key, new = matcher.features(scan, geometry, np.zeros(3), 0.0), matcher.features(other, turned, np.zeros(3), 0.0)
+    prior = Prior(np.zeros(3), np.full(3, 0.1), np.ones(3))
+    to, _ = matcher.extended(None, key, geometry, None)
+    assert matcher.match(new, to, turned, prior) == "the scan has other beams than the keyscan"
+    assert not isinstance(matcher.match(key, to, scan_geometry(scan, NOWHERE, 5), prior), str)
+
+
 @symmetric
 def test_a_new_keyscan_begins_without_the_error_of_its_own_match(config, rng):
     matches = lidar_odometry(scans_along(along(STEP, 15), rng=rng), NOWHERE, config)
