@@ -21,6 +21,7 @@ COARSE = 4  # of those along one of the field of maxima
 _PIECE = 0.04  # [m], length of the pieces of a keyframe
 _SAME_SIDE = 0.3  # cosine of the angle between normals above which surfaces in a cell are one
 _LONGEST = 1.0  # [m] of surface that one return stands for at most
+PIECES = 10  # elements of a return at most: _LONGEST over CELL
 _BLUR = 0.06  # [m], deviation of the likelihood about a surface
 
 

@@ -108,9 +108,10 @@ def step(
     state, geometry = _geometry(state, scan)
     features = _features(state, scan, geometry, prior, period)
     if state.reference is None:
-        state = replace(state, stamp=scan.stamp, observed=scan.stamp)
-        match = ScanMatch(scan.stamp, None, "the scan is the first", 0, keyframe=True)
-        return (_restarted(state, features, geometry) if features.count >= _FEWEST else state), match
+        state, enough = replace(state, stamp=scan.stamp, observed=scan.stamp), features.count >= _FEWEST
+        reason = "the scan is the first" if enough else f"only {features.count} beams see something"
+        match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
+        return (_restarted(state, features, geometry) if enough else state), match
     going_on = state.motion[0] * (min(period / state.took, 1.0) if state.took > _RECENT else 1.0)
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
@@ -258,10 +259,24 @@ def _matched(
     if not is_keyframe:
         return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
     reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
-    noise = fit.covariance - fit.shared
     return replace(
-        state, reference=reference, keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose
+        state,
+        reference=reference,
+        keyframe=scan.stamp,
+        keyframe_pose=pose,
+        keyframe_noise=_own_noise(fit) if np.array_equal(pose, fit.pose) else np.zeros((3, 3)),
+        pose=pose,
     ), match
+
+
+def _own_noise(fit: Fit) -> np.ndarray:
+    """Return the error (3, 3) with which a scan enters a map, but for directions that it does not show.
+
+    There its pose is the prior's, and so are those of later scans, which go on from it. A reference that begins anew
+    with a scan has none of this error.
+    """
+    seen = np.eye(3) - np.linalg.pinv(fit.directions) @ fit.directions
+    return seen @ (fit.covariance - fit.shared) @ seen
 
 
 def lidar_odometry(

@@ -39,19 +39,25 @@ class LocalMap:
     poses: Float[np.ndarray, "k 3"]
 
     @cached_property
-    def field(self) -> tuple[np.ndarray, np.ndarray]:
-        """The likelihood field and its maxima, for a correlative search; made when first asked for."""
+    def field(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The likelihood field and its maxima, for a correlative search, with its blocks; made when first asked for.
+
+        It has the blocks next to surfaces, too: a surface at the border of its block reaches into the next one.
+        """
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(self.blocks >= 0, 1), (3, 3)).any(axis=(2, 3))
+        blocks, count = np.full_like(self.blocks, -1), np.count_nonzero(near)
+        blocks[near] = np.arange(count)
         side = _kernels.FINE * _kernels.SIDE
-        field = np.empty((len(self.cells), side, side), np.uint8)
-        _kernels.likelihood_field(self.elements, len(self.elements), self.origin, self.blocks, field)
-        pooled = np.empty((len(self.cells), side // _kernels.COARSE, side // _kernels.COARSE), np.uint8)
-        _kernels.pool(field, self.blocks, pooled)
-        return field, pooled
+        field = np.empty((count, side, side), np.uint8)
+        _kernels.likelihood_field(self.elements, len(self.elements), self.origin, blocks, field)
+        pooled = np.empty((count, side // _kernels.COARSE, side // _kernels.COARSE), np.uint8)
+        _kernels.pool(field, blocks, pooled)
+        return blocks, field, pooled
 
 
 def keyframe(features: Features, pose: Float[np.ndarray, "3"]) -> Keyframe:
     """Make a keyframe of a scan's features at a pose in the map."""
-    elements = np.empty((4 * features.count + 64, _kernels.ELEMENT))
+    elements = np.empty((_kernels.PIECES * features.count + 2, _kernels.ELEMENT))
     n = _kernels.keyframe_elements(features.values, features.count, elements)
     return Keyframe(pose, elements[:n].copy(), features.noise)
 

@@ -82,10 +82,19 @@ def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], level
 
 def same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
     """Whether a scan has the beams that the tables are for."""
-    return (
-        len(scan.ranges) == geometry.beams
-        and abs(scan.angle_min - geometry.angle_min) < 1e-6
-        and abs(scan.angle_increment - geometry.angle_increment) < 1e-9
+    return _same_beams(geometry, len(scan.ranges), scan.angle_min, scan.angle_increment)
+
+
+def same_tables(a: ScanGeometry, b: ScanGeometry) -> bool:
+    """Whether two kinds of scans are one."""
+    return a is b or _same_beams(a, b.beams, b.angle_min, b.angle_increment)
+
+
+def _same_beams(geometry: ScanGeometry, beams: int, angle_min: float, angle_increment: float) -> bool:
+    return bool(
+        beams == geometry.beams
+        and abs(angle_min - geometry.angle_min) < 1e-6
+        and abs(angle_increment - geometry.angle_increment) < 1e-9
     )
 
 

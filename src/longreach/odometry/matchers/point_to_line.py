@@ -87,7 +87,6 @@ class PointToLine:
                 sigma,
                 _WINDOW,
                 reference.origin,
-                reference.blocks,
                 *reference.field,
                 start,
             )

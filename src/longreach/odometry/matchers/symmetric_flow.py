@@ -20,7 +20,7 @@ from longreach.measurement import LaserScan
 from longreach.odometry import _pyramid_kernels
 from longreach.odometry.matchers import _symmetric_flow_kernels
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
-from longreach.odometry.scan_geometry import ScanGeometry
+from longreach.odometry.scan_geometry import ScanGeometry, same_tables
 
 _FEWEST = 12  # beams that see something in both scans, below which there is no match
 _FEWEST_INLIERS = 0.1  # share of the returns that agree, below which there is no match
@@ -46,6 +46,7 @@ class Keyscan(Features):
     """The points x, y, r (3, n) of a scan in the laser's frame, r = 0 where there is none, and its pyramid."""
 
     pyramid: Float[np.ndarray, " total"]
+    geometry: ScanGeometry
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ class SymmetricFlow:
         _pyramid_kernels.build_pyramid(r, geometry.start, _REACH, pyramid)
         count = int(np.count_nonzero(r))
         reach = float(np.median(r[r > 0])) if count else 1.0
-        return Keyscan(np.stack([r * cos, r * sin, r]), count, np.inf, reach, pyramid)
+        return Keyscan(np.stack([r * cos, r * sin, r]), count, np.inf, reach, pyramid, geometry)
 
     def extended(
         self, reference: Scans | None, features: Keyscan, geometry: ScanGeometry, fit: Fit | None
@@ -93,7 +94,7 @@ class SymmetricFlow:
         """Match a scan to the keyscan, and to the last scan."""
         if features.count < _FEWEST:
             return f"only {features.count} beams see something"
-        if len(features.pyramid) != len(reference.key.pyramid):
+        if not same_tables(geometry, reference.key.geometry):
             return "the scan has other beams than the keyscan"
         g, key, last = geometry, reference.key, reference.last
         with_last = self.with_last and last is not key
