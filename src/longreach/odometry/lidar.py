@@ -139,7 +139,7 @@ def step(
 def _is_too_fast(moved: np.ndarray, period: float) -> bool:
     """Whether a motion (3,) in a period [s] is beyond what any indoor base does; stamps may be off by a period."""
     most = max(2.0 * period, _LAG)
-    return math.hypot(moved[0], moved[1]) > _FASTEST[0] * most or abs(moved[2]) > _FASTEST[1] * most
+    return bool(math.hypot(moved[0], moved[1]) > _FASTEST[0] * most or abs(moved[2]) > _FASTEST[1] * most)
 
 
 def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeometry]:
