@@ -35,7 +35,7 @@ def test_with_what_matches_share_the_filter_is_as_wrong_as_it_says(rng):
 
 
 def test_matches_taken_for_independent_make_it_too_sure(rng):
-    nees, (_, high) = unchecked(mean_nees, rng, 25, shares=False)
+    nees, (_, high) = unchecked(mean_nees, rng, 60, shares=False)
     assert nees > high
 
 

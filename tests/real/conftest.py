@@ -1,7 +1,4 @@
-"""Estimates of real logs, each read and made once, and without the shape checks, which all other tests have.
-
-Of the longest logs the first part: all of them takes minutes, and is what benchmarks/recordings.py is for.
-"""
+"""Estimates of real logs, each read and made once, and without the shape checks, which all other tests have."""
 
 import jaxtyping
 import pytest
@@ -19,17 +16,9 @@ def unchecked(run, *arguments, **options):
         jaxtyping.config.update("jaxtyping_disable", False)
 
 
-SCANS = 2000
-
-
 def read_and_estimate(*arguments, **options):
     run = open_run(*arguments, **options)
-    recording = run.recording
-    if len(recording.scans) > SCANS:
-        end = recording.scans[SCANS - 1].stamp
-        parts = {name: tuple(r for r in getattr(recording, name) if r.stamp <= end) for name in ("wheels", "fixes")}
-        recording = recording.replace(scans=recording.scans[:SCANS], **parts)
-    return estimate(recording, run.robot, run.config, truth=run.truth, relations=run.relations)
+    return estimate(run.recording, run.robot, run.config, truth=run.truth, relations=run.relations)
 
 
 @pytest.fixture(scope="session")

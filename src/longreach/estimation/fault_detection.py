@@ -26,7 +26,15 @@ _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match 
 # [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 5 cm, 5°:
 # more, and a burst of wrong matches would carry the estimate off.
 _SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
-_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of that and the variance of the steps since another source observed the pose
+_SLIPS = (
+    1.0,
+    3.0,
+    10.0,
+    30.0,
+    100.0,
+    300.0,
+    1000.0,
+)  # of that and the variance of the steps since another source observed the pose
 
 
 def faults_found(

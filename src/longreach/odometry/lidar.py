@@ -36,6 +36,7 @@ _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three 
 _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
+_FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 
@@ -48,7 +49,8 @@ class LidarState:
     keyframe: stamp of the newest keyframe [s]; keyframe_pose (3,): where it is in the reference; keyframe_noise (3, 3):
     the error of its own match, which all poses relative to it share.
     pose (3,): of the base at the last scan, in the reference; variance (3,): that has added up since the last match.
-    motion (2, 3): the base's twist from scan to scan, the last and the mean; predicted (3,): the mean of the priors'.
+    motion (2, 3): the base's twist from scan to scan, the last, which took so long [s], and the mean; predicted (3,):
+    the mean of the priors'.
     observed: when a scan last showed all directions, or the first one was taken [s].
     lost: scans without a match since the last one. geometries: of the kinds of scans seen so far.
     """
@@ -64,6 +66,7 @@ class LidarState:
     pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
+    took: float = 0.0
     predicted: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     observed: float = math.inf
     lost: int = 0
@@ -109,7 +112,8 @@ def step(
         reason = "the scan is the first" if enough else f"only {features.count} beams see something"
         match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
         return (_restarted(state, features, geometry) if enough else state), match
-    twist = state.motion[0] if prior is None else se2.log(prior)
+    going_on = state.motion[0] * (min(period / state.took, 1.0) if state.took > _RECENT else 1.0)
+    twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
     if prior is not None:
         state = replace(state, predicted=_mean(before, twist, period))
@@ -119,15 +123,23 @@ def step(
     if (
         prior is not None and period < _RECENT and (isinstance(fit, str) or fit.inlier_ratio < _POOR)
     ):  # wheels may have jumped
-        goes_on = _prior(state, se2.exp(state.motion[0]), scan.stamp, period)
+        goes_on = _prior(state, se2.exp(going_on), scan.stamp, period)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
         if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
             fit = other
+    if not isinstance(fit, str) and _is_too_fast(se2.between(state.pose, fit.pose), period):
+        fit = "it would have moved the base faster than a base moves"
     if isinstance(fit, str):
         if prior is not None:  # it alone shows how the motion goes on
             state = replace(state, motion=np.array([twist, state.motion[1] + state.predicted - before]))
         return _failed(state, scan, features, geometry, expected, fit, prior is not None)
     return _matched(state, scan, features, geometry, fit)
+
+
+def _is_too_fast(moved: np.ndarray, period: float) -> bool:
+    """Whether a motion (3,) in a period [s] is beyond what any indoor base does; stamps may be off by a period."""
+    most = max(2.0 * period, _LAG)
+    return bool(math.hypot(moved[0], moved[1]) > _FASTEST[0] * most or abs(moved[2]) > _FASTEST[1] * most)
 
 
 def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeometry]:
@@ -231,7 +243,8 @@ def _matched(
         blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance
     )
     last = se2.log(moved)
-    motion = np.array([last, _mean(state.motion[1], last, scan.stamp - state.stamp)])
+    period = scan.stamp - state.stamp
+    motion = np.array([last, _mean(state.motion[1], last, period)])
     match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved)
     state = replace(
         state,
@@ -239,6 +252,7 @@ def _matched(
         pose=fit.pose,
         variance=np.zeros(3),
         motion=motion,
+        took=period,
         observed=state.observed if blind else scan.stamp,
         lost=0,
     )

@@ -7,7 +7,7 @@ import pytest
 from room_scans import CORRIDOR, NOWHERE, STEP, along, error_of, scans_along
 
 from longreach.geometry import se2
-from longreach.odometry.lidar import LidarConfig, lidar_odometry
+from longreach.odometry.lidar import LidarConfig, init, lidar_odometry, step
 from longreach.odometry.matchers._symmetric_flow_kernels import warp_segments
 from longreach.odometry.matchers.scan_matcher import Prior
 from longreach.odometry.matchers.symmetric_flow import Scans, SymmetricFlow
@@ -65,6 +65,18 @@ def test_scans_of_as_many_beams_at_other_angles_are_not_matched():
     to, _ = matcher.extended(None, key, geometry, None)
     assert matcher.match(new, to, turned, prior) == "the scan has other beams than the keyscan"
     assert not isinstance(matcher.match(key, to, scan_geometry(scan, NOWHERE, 5), prior), str)
+
+
+@symmetric
+def test_the_last_scan_is_remembered_beside_the_keyscan_where_it_was_matched(config, rng):
+    state, _ = step(init(config, NOWHERE), scans_along(along(STEP, 0))[0])
+    key = state.reference.key
+    for scan in scans_along(along(0.3 * STEP, 3), rng=rng)[1:]:
+        state, match = step(state, scan)
+        assert not match.keyframe
+        assert state.reference.key is key
+        assert state.reference.last is not key
+        np.testing.assert_array_equal(state.reference.pose, match.measurement.pose)
 
 
 @symmetric

@@ -199,7 +199,7 @@ def whole_covariance(C, last, part, scale, reach, common, free, V, observable, o
     residuals' scale [m] does not average out. free (3,): variance where nothing is observable.
     """
     units = np.array([1.0, 1.0, 1.0 / reach])
-    project, whole, total = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    project, whole, observable_part = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     carry_covariance(part, last, whole)
     unseen = _UNSEEN * (_TWICE if part[0, 0] > 0.0 else 1.0)
     for i in range(3):
@@ -207,17 +207,17 @@ def whole_covariance(C, last, part, scale, reach, common, free, V, observable, o
             whole[i, j] += unseen * C[i, j] + ((common * max(scale, _LEAST)) ** 2 if i == j else 0.0)
             for k in range(3):
                 project[i, j] += observable[k] * V[i, k] * V[j, k]
-    carry_covariance(project, whole, total)
+    carry_covariance(project, whole, observable_part)
     for k in range(3):
         wide = 0.0
         for i in range(3):
             wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
         for i in range(3):
             for j in range(3):
-                total[i, j] += (1.0 - observable[k]) * V[i, k] * V[j, k] * wide
+                observable_part[i, j] += (1.0 - observable[k]) * V[i, k] * V[j, k] * wide
     for i in range(3):
         for j in range(3):
-            out[i, j] = units[i] * total[i, j] * units[j]
+            out[i, j] = units[i] * observable_part[i, j] * units[j]
 
 
 @kernel
