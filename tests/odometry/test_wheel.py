@@ -390,7 +390,7 @@ def rough_drive(kind, seed, count=300, rate=100.0):
 
 @pytest.mark.parametrize("covariance", ["growing", "constant"])
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=12)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 2**16), lengths=st.lists(st.integers(0, 40), min_size=1, max_size=6).filter(any))
 def test_steps_do_not_depend_on_how_records_are_divided_into_blocks(kind, covariance, seed, lengths):
     wheels, config = rough_drive(kind, seed), WheelConfig(covariance=covariance)
