@@ -13,7 +13,7 @@ def match_events(match: ScanMatch) -> list[Event]:
     """Return what a scan's match is to the filter: a measurement, a keyframe that the next ones refer to, or both."""
     measurement = match.measurement
     if match.keyframe:
-        return [Keyframe(match.stamp, "lidar", measurement)]
+        return [Keyframe(match.stamp, "lidar", measurement, match.keyframe_noise)]
     return [] if measurement is None else [measurement]
 
 

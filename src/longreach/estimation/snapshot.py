@@ -34,12 +34,14 @@ class PoseClone:
 
 @dataclass(frozen=True, slots=True)
 class Keyframe(PoseClone):
-    """From here on, scans are matched to the one at `stamp`: a pose clone, and the new local reference.
+    """From here on, matches are relative to the scan at `stamp`: a pose clone, and in time the local reference.
 
-    match: what the scan says relative to the keyframe before, where it does.
+    match: the pose of the scan relative to the keyframe before, where there is one. noise (3, 3): the part of its
+    covariance that the matches to come have in common; None: all of it.
     """
 
     match: RelativePoseMeasurement | None = None
+    noise: Float[np.ndarray, "3 3"] | None = None
 
     def __post_init__(self) -> None:
         PoseClone.__post_init__(self)

@@ -156,11 +156,12 @@ def _keyframe_seen(
         now = _copied(_rebased(now, _best_known(now)), spare)
     else:
         now, match = _apart(now, match)
-        at, own = now.place(spare), match.covariance
-        known = bool(np.all(np.isfinite(own)))
+        at, R = now.place(spare), match.covariance
+        known = bool(np.all(np.isfinite(R)))
+        own = R if event.noise is None else event.noise
         noise = scaled(own, now.noise.get(event.source, NOMINAL).deviations) if known else np.zeros((3, 3))
         now = _copied(now, spare)
-        match = replace(match, covariance=(1.0 - _SAME) * own)
+        match = replace(match, covariance=_less(R, _SAME * own) if known else R)
         now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
     return now, correction, own
@@ -198,6 +199,12 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
     if not _own_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
         R = match.covariance
     return now, replace(match, covariance=R, shared_covariance=None)
+
+
+def _less(R: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Take a part off a covariance (3, 3), but leave at least 1 - _SAME of it in every direction."""
+    rest = np.empty((3, 3))
+    return rest if _own_kernels.own_part(R, np.zeros(3), part, 1.0 - _SAME, rest) else (1.0 - _SAME) * R
 
 
 def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:

@@ -259,14 +259,16 @@ def _matched(
     if not is_keyframe:
         return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
     reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
-    return replace(
+    noise = _own_noise(fit) if np.array_equal(pose, fit.pose) else None
+    state = replace(
         state,
         reference=reference,
         keyframe=scan.stamp,
         keyframe_pose=pose,
-        keyframe_noise=_own_noise(fit) if np.array_equal(pose, fit.pose) else np.zeros((3, 3)),
+        keyframe_noise=np.zeros((3, 3)) if noise is None else noise,
         pose=pose,
-    ), match
+    )
+    return state, replace(match, keyframe_noise=noise)
 
 
 def _own_noise(fit: Fit) -> np.ndarray:

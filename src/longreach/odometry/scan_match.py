@@ -17,6 +17,7 @@ class ScanMatch:
     degenerate: directions of ξ (k, 3), of length 1 [m, m, rad], along which the scan says nothing, as in a corridor:
     there the pose is the guess's and its covariance wide.
     keyframe: this scan is what the next ones are matched against.
+    keyframe_noise (3, 3): of a keyframe, the part of its match's covariance that the matches to it have in common.
     motion: pose of the base seen from where it was at the last scan, whatever the reference is; None: not known.
     """
 
@@ -27,6 +28,7 @@ class ScanMatch:
     degenerate: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     keyframe: bool = False
     motion: Float[np.ndarray, "3"] | None = None
+    keyframe_noise: Float[np.ndarray, "3 3"] | None = None
 
     @property
     def twist(self) -> Float[np.ndarray, "3"] | None:
