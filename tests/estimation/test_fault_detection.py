@@ -123,7 +123,7 @@ def test_a_burst_of_wrong_matches_does_not_carry_the_estimate_off(rng):
         return z + rng.normal(size=3) * [1.0, 1.0, 0.5] if 60 <= i < 72 else z
 
     errors, _ = unchecked(errors_of, *drive(rng, scans=wild))
-    assert errors[:, 0].max() < 0.2
+    assert errors[:, 0].max() < 0.3  # where the matches are off by metres
     assert errors[110:, 0].max() < 0.1
 
 

@@ -35,7 +35,10 @@ def written(tmp_path):
         ("filter: {gate_probability: 2}", "filter.gate_probability is 2: input should be less than 1"),
         ("filter: {history: many}", "filter.history is 'many': input should be a valid number"),
         ("sources: [wheels, sonar]", "sources.1 is 'sonar': input should be 'wheels', 'lidar', 'imu' or 'fixes'"),
-        ("colour: red", "colour is not a key here; there are: sources, wheels, lidar, filter, smooth, evaluation"),
+        (
+            "colour: red",
+            "colour is not a key here; there are: sources, wheels, lidar, filter, smooth, compare, evaluation",
+        ),
         ("lidar: {level: 3}", "lidar.level is not a key here; there are: method, iterations, gate"),
         ("lidar: {iterations: 0, gate: -1, x: 1}", r"lidar.iterations is 0.*\(2 more keys are wrong.\)"),
         ("wheels: {twist_variance: [1, 2, -3]}", "wheels.twist_variance.2 is -3: input should be greater than 0"),

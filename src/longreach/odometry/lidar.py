@@ -47,7 +47,7 @@ class LidarState:
 
     reference: what scans are matched against, None before the first. stamp: of the last scan [s].
     keyframe: stamp of the newest keyframe [s]; keyframe_pose (3,): where it is in the reference; keyframe_noise (3, 3):
-    the error of its own match, which all poses relative to it share.
+    the error of its own match, which all poses relative to it share; None: it began the reference.
     pose (3,): of the base at the last scan, in the reference; variance (3,): that has added up since the last match.
     motion (2, 3): the base's twist from scan to scan, the last, which took so long [s], and the mean; predicted (3,):
     the mean of the priors'.
@@ -62,7 +62,7 @@ class LidarState:
     stamp: float = -math.inf
     keyframe: float = -math.inf
     keyframe_pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    keyframe_noise: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.zeros((3, 3)))
+    keyframe_noise: Float[np.ndarray, "3 3"] | None = None
     pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
@@ -200,7 +200,7 @@ def _restarted(state: LidarState, features: Features, geometry: ScanGeometry) ->
         reference=reference,
         keyframe=state.stamp,
         keyframe_pose=pose,
-        keyframe_noise=np.zeros((3, 3)),
+        keyframe_noise=None,
         pose=pose,
         variance=np.zeros(3),
         lost=0,
@@ -233,10 +233,11 @@ def _matched(
     """Tell where the base is relative to the newest keyframe, and make the scan one where it is far from all."""
     config = state.config
     moved, pose = se2.between(state.pose, fit.pose), se2.between(state.keyframe_pose, fit.pose)
-    A = se2.adjoint(se2.inverse(pose))
-    keyframe = A @ state.keyframe_noise @ A.T
+    A, shared = se2.adjoint(se2.inverse(pose)), fit.shared
+    if state.keyframe_noise is not None:  # which has the map's own error in it
+        shared = A @ state.keyframe_noise @ A.T
     measurement = RelativePoseMeasurement(
-        state.keyframe, scan.stamp, pose, fit.covariance + keyframe, "lidar", shared_covariance=fit.shared + keyframe
+        state.keyframe, scan.stamp, pose, fit.covariance - fit.shared + shared, "lidar", shared_covariance=shared
     )
     blind = len(fit.directions) > 0
     is_keyframe = state.matcher.is_far(fit, features, geometry, state.reference) or (
@@ -259,26 +260,26 @@ def _matched(
     if not is_keyframe:
         return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
     reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
-    noise = _own_noise(fit) if np.array_equal(pose, fit.pose) else None
+    noise = _noise_in_map(fit) if np.array_equal(pose, fit.pose) else None
     state = replace(
         state,
         reference=reference,
         keyframe=scan.stamp,
         keyframe_pose=pose,
-        keyframe_noise=np.zeros((3, 3)) if noise is None else noise,
+        keyframe_noise=noise,
         pose=pose,
     )
     return state, replace(match, keyframe_noise=noise)
 
 
-def _own_noise(fit: Fit) -> np.ndarray:
+def _noise_in_map(fit: Fit) -> np.ndarray:
     """Return the error (3, 3) with which a scan enters a map, but for directions that it does not show.
 
     There its pose is the prior's, and so are those of later scans, which go on from it. A reference that begins anew
     with a scan has none of this error.
     """
     seen = np.eye(3) - np.linalg.pinv(fit.directions) @ fit.directions
-    return seen @ (fit.covariance - fit.shared) @ seen
+    return seen @ fit.covariance @ seen
 
 
 def lidar_odometry(
