@@ -23,7 +23,7 @@ from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 _USUAL, _TOO_MUCH = 1.0, 8.0  # taken off the sum of headings' innovations each time, and its bound
 _STEP = 2.5  # of the deviation that a gyro's bias has when switched on, that it may jump by
 _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match that is wrong
-# [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 9 cm, 9°:
+# [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 16 cm, 16°:
 # more, and a burst of wrong matches would carry the estimate off.
 _SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
 _SLIPS = (

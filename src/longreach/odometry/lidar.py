@@ -37,6 +37,7 @@ _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, a
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
 _FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
+_GAP = 2.0  # [s] between scans, over which a motion is no longer that of a period; stamps are irregular below
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 
@@ -112,7 +113,7 @@ def step(
         reason = "the scan is the first" if enough else f"only {features.count} beams see something"
         match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
         return (_restarted(state, features, geometry) if enough else state), match
-    going_on = state.motion[0] * (min(period / state.took, 1.0) if state.took > _RECENT else 1.0)
+    going_on = state.motion[0] * (min(period / state.took, 1.0) if state.took > _GAP else 1.0)
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
     if prior is not None:
