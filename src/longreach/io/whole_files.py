@@ -35,8 +35,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     with _explained(folder):
         check_folder(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        temporary = None
         try:
+            temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
             yield temporary
             temporary.chmod(0o777 & ~_umask())
             if not folder.exists():
@@ -47,7 +48,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(source, target)
         finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            if temporary is not None:
+                shutil.rmtree(temporary, ignore_errors=True)
 
 
 def check_folder(folder: Path) -> None:

@@ -3,6 +3,7 @@
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -182,6 +183,7 @@ class Server:
         return TYPES["sensor_msgs/msg/TimeReference"](header, asked.time_ref, "longreach")
 
     def close(self) -> None:
-        """Hang up."""
+        """Hang up, also where the network has gone and does not answer."""
         self.refusals.tell_all()
-        self._session.close()
+        with suppress(zenoh().ZError):
+            self._session.close()
