@@ -32,8 +32,8 @@ def test_no_relation_of_a_few_seconds_is_far_off(log):
     assert np.degrees(errors.rotation[short].max()) <= 12.0
 
 
-def test_lidar_alone_is_better_than_the_wheels(log):
-    assert np.all(scores(log, "lidar") < scores(log, "wheels"))
+def test_lidar_alone_turns_much_less_wrong_than_the_wheels(log):
+    assert scores(log, "lidar")[1] < 0.5 * scores(log, "wheels")[1]
 
 
 def test_every_path_has_every_scan_as_recorded(log):
