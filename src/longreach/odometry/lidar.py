@@ -37,7 +37,6 @@ _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, a
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
 _FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
-_GAP = 2.0  # [s] between scans, over which a motion is no longer that of a period; stamps are irregular below
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 
@@ -50,8 +49,7 @@ class LidarState:
     keyframe: stamp of the newest keyframe [s]; keyframe_pose (3,): where it is in the reference; keyframe_noise (3, 3):
     the error of its own match, which all poses relative to it share; None: it began the reference.
     pose (3,): of the base at the last scan, in the reference; variance (3,): that has added up since the last match.
-    motion (2, 3): the base's twist from scan to scan, the last, which took so long [s], and the mean; predicted (3,):
-    the mean of the priors'.
+    motion (2, 3): the base's twist from scan to scan, the last and the mean; predicted (3,): the mean of the priors'.
     observed: when a scan last showed all directions, or the first one was taken [s].
     lost: scans without a match since the last one. geometries: of the kinds of scans seen so far.
     """
@@ -67,7 +65,6 @@ class LidarState:
     pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
-    took: float = 0.0
     predicted: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     observed: float = math.inf
     lost: int = 0
@@ -113,7 +110,7 @@ def step(
         reason = "the scan is the first" if enough else f"only {features.count} beams see something"
         match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
         return (_restarted(state, features, geometry) if enough else state), match
-    going_on = state.motion[0] * (min(period / state.took, 1.0) if state.took > _GAP else 1.0)
+    going_on = np.zeros(3) if _is_too_fast(state.motion[0], period) else state.motion[0]  # after a gap
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
     if prior is not None:
@@ -121,9 +118,8 @@ def step(
     moved = se2.exp(twist)
     expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG))
     fit = state.matcher.match(features, state.reference, geometry, expected)
-    if (
-        prior is not None and period < _RECENT and (isinstance(fit, str) or fit.inlier_ratio < _POOR)
-    ):  # wheels may have jumped
+    poor = isinstance(fit, str) or fit.inlier_ratio < _POOR
+    if prior is not None and period < _RECENT and poor:  # wheels may have jumped
         goes_on = _prior(state, se2.exp(going_on), scan.stamp, period)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
         if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
@@ -245,8 +241,7 @@ def _matched(
         blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance
     )
     last = se2.log(moved)
-    period = scan.stamp - state.stamp
-    motion = np.array([last, _mean(state.motion[1], last, period)])
+    motion = np.array([last, _mean(state.motion[1], last, scan.stamp - state.stamp)])
     match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved)
     state = replace(
         state,
@@ -254,7 +249,6 @@ def _matched(
         pose=fit.pose,
         variance=np.zeros(3),
         motion=motion,
-        took=period,
         observed=state.observed if blind else scan.stamp,
         lost=0,
     )
