@@ -116,11 +116,11 @@ def step(
     if prior is not None:
         state = replace(state, predicted=_mean(before, twist, period))
     moved = se2.exp(twist)
-    expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG))
+    expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
     fit = state.matcher.match(features, state.reference, geometry, expected)
     poor = isinstance(fit, str) or fit.inlier_ratio < _POOR
     if prior is not None and period < _RECENT and poor:  # wheels may have jumped
-        goes_on = _prior(state, se2.exp(going_on), scan.stamp, period)
+        goes_on = _prior(state, se2.exp(going_on), scan.stamp, period, False)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
         if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
             fit = other
@@ -169,10 +169,11 @@ def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
     return mean + -math.expm1(-period / _LASTING) * (last - mean)
 
 
-def _prior(state: LidarState, moved: np.ndarray, stamp: float, unknown: float) -> Prior:
+def _prior(state: LidarState, moved: np.ndarray, stamp: float, unknown: float, by_wheels: bool) -> Prior:
     """Predict the base's pose in the reference, wide: it says where to look, and not what to find.
 
-    unknown [s]: for how long the base may have accelerated without the prediction knowing of it.
+    unknown [s]: for how long the base may have accelerated without the prediction knowing of it. by_wheels: whether it
+    is the wheels', which are off by a part of the way since the keyframe where scans do not show it.
 
     What has not been observed for a while is off by ever more of the same, not at random: its deviation grows with
     time, from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
@@ -186,7 +187,13 @@ def _prior(state: LidarState, moved: np.ndarray, stamp: float, unknown: float) -
     observed = min(state.observed, state.keyframe)
     growth = (stamp - observed) ** 2 - (state.keyframe - observed) ** 2
     free = np.array([config.speed, config.speed, config.turn]) ** 2 * growth
-    return Prior(se2.compose(state.pose, moved), sigma, free)
+    pose, astray = se2.compose(state.pose, moved), free
+    if by_wheels:
+        away = se2.between(state.keyframe_pose, pose)
+        far, turned = math.hypot(away[0], away[1]), abs(float(away[2]))
+        at, to = config.prior_position + config.prior_motion * far, config.prior_heading + config.prior_motion * turned
+        astray = np.minimum(free, np.array([at * at, at * at, to * to]))
+    return Prior(pose, sigma, free, astray)
 
 
 def _restarted(state: LidarState, features: Features, geometry: ScanGeometry) -> LidarState:

@@ -33,7 +33,7 @@ FREE = np.array([1.0, 1.0, 1.0])
 
 
 def match(scan, to, pose, sigma=WIDE):
-    return POINT_TO_LINE.match(features_of(scan), to, GEOMETRY, Prior(np.array(pose), np.array(sigma), FREE))
+    return POINT_TO_LINE.match(features_of(scan), to, GEOMETRY, Prior(np.array(pose), np.array(sigma), FREE, FREE))
 
 
 def rows_at(features, to, pose, radius=0.4):
@@ -131,7 +131,7 @@ def test_the_covariance_shrinks_with_the_noise_and_with_beams():
             old, new = (scan_at(at, beams=beams) for at in (HERE, pose))
             old, new = (replace(s, ranges=s.ranges + noise * rng.standard_normal(beams)) for s in (old, new))
             to = POINT_TO_LINE.extended(None, features_of(old), GEOMETRY, None)[0]
-            there = Prior(se2.between(HERE, pose), WIDE, FREE)
+            there = Prior(se2.between(HERE, pose), WIDE, FREE, FREE)
             traces.append(np.trace(POINT_TO_LINE.match(features_of(new), to, GEOMETRY, there).covariance))
         return np.median(traces)
 
@@ -155,7 +155,7 @@ def test_along_a_corridor_the_pose_stays_at_the_prior_and_across_it_is_right(hea
     to = POINT_TO_LINE.extended(None, features_of(scans[0]), GEOMETRY, None)[0]
     truth = se2.between(start, pose)
     prior = se2.compose(truth, np.array([0.03, -0.04, 0.02]))
-    found = POINT_TO_LINE.match(features_of(scans[1]), to, GEOMETRY, Prior(prior, WIDE, FREE))
+    found = POINT_TO_LINE.match(features_of(scans[1]), to, GEOMETRY, Prior(prior, WIDE, FREE, FREE))
     assert found.directions.shape == (1, 3)
     along_it = np.array([np.cos(heading), -np.sin(heading)])  # in the base's frame
     assert abs(found.directions[0, :2] @ along_it) > 0.99
@@ -207,7 +207,7 @@ def test_rounded_ranges_without_noise_give_a_finite_match(step):
     old, new = (scan_at(at) for at in (HERE, pose))
     old, new = (replace(s, ranges=step * np.round(s.ranges / step)) for s in (old, new))
     to = POINT_TO_LINE.extended(None, features_of(old), GEOMETRY, None)[0]
-    found = POINT_TO_LINE.match(features_of(new), to, GEOMETRY, Prior(STEP, WIDE, FREE))
+    found = POINT_TO_LINE.match(features_of(new), to, GEOMETRY, Prior(STEP, WIDE, FREE, FREE))
     assert np.isfinite(to.elements).all()
     assert np.isfinite(found.covariance).all()
     assert np.linalg.eigvalsh(found.covariance).min() > 0.0
@@ -231,7 +231,7 @@ def test_a_map_without_surfaces_gives_no_match_with_a_reason(rng):
     values = features.values.copy()
     values[5:7], values[7] = 0.0, np.inf
     to, _ = POINT_TO_LINE.extended(None, replace(features, values=values), GEOMETRY, None)
-    reason = POINT_TO_LINE.match(features_of(scan_at(HERE)), to, GEOMETRY, Prior(np.zeros(3), WIDE, FREE))
+    reason = POINT_TO_LINE.match(features_of(scan_at(HERE)), to, GEOMETRY, Prior(np.zeros(3), WIDE, FREE, FREE))
     assert reason == "only 0 beams see something that the map has"
 
 

@@ -44,7 +44,7 @@ def test_what_is_not_known_of_the_last_scan_goes_on_where_it_takes_part(with_las
     scans, matcher = scans_along(along(STEP, 2), rng=rng), SymmetricFlow(with_last)
     geometry = scan_geometry(scans[0], NOWHERE, 5)
     key, last, new = (matcher.features(scan, geometry, np.zeros(3), 0.0) for scan in scans)
-    prior = Prior(se2.compose(STEP, STEP), np.full(3, 0.1), np.ones(3))
+    prior = Prior(se2.compose(STEP, STEP), np.full(3, 0.1), np.ones(3), np.ones(3))
 
     def variance(P):
         return np.trace(matcher.match(new, Scans(key, last, STEP, P), geometry, prior).covariance)
@@ -61,7 +61,7 @@ def test_scans_of_as_many_beams_at_other_angles_are_not_matched():
     other = replace(scan, angle_min=scan.angle_min + 0.1)
     geometry, turned = scan_geometry(scan, NOWHERE, 5), scan_geometry(other, NOWHERE, 5)
     key, new = matcher.features(scan, geometry, np.zeros(3), 0.0), matcher.features(other, turned, np.zeros(3), 0.0)
-    prior = Prior(np.zeros(3), np.full(3, 0.1), np.ones(3))
+    prior = Prior(np.zeros(3), np.full(3, 0.1), np.ones(3), np.ones(3))
     to, _ = matcher.extended(None, key, geometry, None)
     assert matcher.match(new, to, turned, prior) == "the scan has other beams than the keyscan"
     assert not isinstance(matcher.match(key, to, scan_geometry(scan, NOWHERE, 5), prior), str)

@@ -241,11 +241,12 @@ def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
 
 
 @kernel
-def sandwich(rows, m, scale, reach, settings, H, V, observable, free, covariance, shared):
+def sandwich(rows, m, scale, reach, settings, H, V, observable, free, astray, covariance, shared):
     """Fill covariance and shared (3, 3) of the base's ξ: the sandwich H⁻¹ S H⁻¹, wide along what is not observable.
 
-    free (3,): variance of x, y [m²] and θ [rad²] where nothing is known. A part `common` of the noise is taken to be
-    common to all beams: it does not average out.
+    free (3,): variance of x, y [m²] and θ [rad²] where nothing is known; astray (3,): of how far the pose is off there,
+    which surfaces whose directions are wrong turn into errors of the other directions. A part `common` of the noise is
+    taken to be common to all beams: it does not average out.
     """
     limit = 1.0 / (settings.gate * scale) ** 2
     S, K = np.zeros((3, 3)), np.zeros((3, 3))
@@ -263,13 +264,14 @@ def sandwich(rows, m, scale, reach, settings, H, V, observable, free, covariance
     for k in range(3):
         if observable[k] > 0.0:
             continue
-        wide = 0.0
+        wide = off = 0.0
         for i in range(3):
             wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
+            off += V[i, k] * V[i, k] * astray[i] / (units[i] * units[i])
         S[k, k] += wide
         lean(rows, m, limit, reach, H, V, k, angles)
         for l in range(3):
-            S[l, l] += observable[l] * wide * angles[l]
+            S[l, l] += observable[l] * off * angles[l]
     for i in range(3):
         for j in range(3):
             covariance[i, j] = shared[i, j] = 0.0
@@ -281,7 +283,7 @@ def sandwich(rows, m, scale, reach, settings, H, V, observable, free, covariance
 
 @kernel
 def match(
-    points, m, reach, noise, settings, start, guess, sigma, free, origin, blocks, cells, elements,
+    points, m, reach, noise, settings, start, guess, sigma, free, astray, origin, blocks, cells, elements,
     pose, covariance, shared, observable, V,
 ):  # fmt: skip
     """Match the points of a scan to the surfaces of a local map, starting at a pose (3,), under a prior.
@@ -304,7 +306,7 @@ def match(
     total = 0.0
     for i in range(n):
         total += max(1.0 - rows[3, i] * rows[3, i] * rows[4, i] * limit, 0.0)
-    sandwich(rows, n, scale, reach, settings, H, V, observable, free, covariance, shared)
+    sandwich(rows, n, scale, reach, settings, H, V, observable, free, astray, covariance, shared)
     for i in range(3):
         for j in range(i):
             covariance[i, j] = covariance[j, i] = 0.5 * (covariance[i, j] + covariance[j, i])

@@ -27,12 +27,13 @@ class Prior(NamedTuple):
     """Where the base is expected, in the frame of the reference, before the scan is looked at.
 
     pose (3,), sigma (3,): deviations [m, m, rad] in the frame of the pose. free (3,): variances [m², m², rad²] along
-    directions of ξ that the scan does not show.
+    directions of ξ that the scan does not show; astray (3,): how far the pose itself may be off along them.
     """
 
     pose: Float[np.ndarray, "3"]
     sigma: Float[np.ndarray, "3"]
     free: Float[np.ndarray, "3"]
+    astray: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)
