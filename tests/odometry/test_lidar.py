@@ -10,6 +10,7 @@ from longreach.geometry import se2, se3, so3
 from longreach.measurement import LaserScan
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import LidarConfig, init, lidar_odometry, step
+from longreach.odometry.matchers.point_to_line import PointToLine
 from longreach.sim.room import box, moved
 
 
@@ -419,3 +420,33 @@ def test_what_a_keyframe_in_a_corridor_does_not_show_is_no_error_of_the_next_mat
     np.testing.assert_allclose(
         after[0].measurement.covariance[0, 0], after[0].stamp ** 2 - keys[0].stamp ** 2, rtol=0.05
     )
+
+
+@pytest.mark.parametrize("moved_by", [(2.0, 0.0, 0.0), (0.0, 0.0, 1.5)], ids=str)
+def test_a_match_that_moves_the_base_faster_than_a_base_moves_is_none(moved_by, rng):
+    class Jumping(PointToLine):
+        def match(self, features, reference, geometry, prior):
+            fit = super().match(features, reference, geometry, prior)
+            return replace(fit, pose=se2.compose(fit.pose, np.array(moved_by)))
+
+    first, second = scans_along(along(STEP, 1), rng=rng)
+    state, _ = step(init(LidarConfig(), NOWHERE), first)
+    matcher = state.matcher
+    jumping = Jumping(matcher.settings, matcher.distance, matcher.turned, matcher.overlap)
+    after, match = step(replace(state, matcher=jumping), second)
+    assert match.measurement is None
+    assert "faster" in match.reason
+    np.testing.assert_allclose(after.pose, 0.0, atol=1e-12)  # the prior: it has not moved so far
+
+
+def test_with_wheels_along_a_corridor_the_walls_show_more_of_the_heading_and_across(rng):
+    """Without them the base may be anywhere along it, and surfaces whose directions are wrong make that an error."""
+    poses = along((0.05, 0.0, 0.0), 100, (0.0, 0.0, 0.0))
+    scans = [replace(scan, range_max=15.0) for scan in scans_along(poses, walls=CORRIDOR, rng=rng)]
+    priors = [np.array([0.05, 0.0, 0.0])] * len(scans)
+    alone, wheeled = (
+        np.sqrt([np.diag(m.measurement.covariance) for m in lidar_odometry(scans, NOWHERE, priors=some)])
+        for some in (None, priors)
+    )
+    assert np.all(np.median(wheeled[50:, 1:], axis=0) < 0.65 * np.median(alone[50:, 1:], axis=0))
+    assert np.median(wheeled[50:, 0]) > 0.1  # which wheels must not be taken for information of the scan's

@@ -71,3 +71,14 @@ def test_an_offset_is_found_wherever_the_borders_of_blocks_lie(shift):
     best, agreement = search(scan_at(pose, walls=walls), map_of([start], walls=walls), start, (0.2, 0.2, 0.1))
     assert np.abs(best - pose).max() < 0.06
     assert agreement > 0.6
+
+
+def test_what_is_best_only_at_the_edge_of_the_window_is_none(rng):
+    guess = HERE + np.array([0.0, 0.0, -0.42])
+    to, scan = map_of([HERE], rng=rng), scan_at(HERE, rng=rng)
+    best = guess.copy()
+    features = features_of(scan)
+    _correlative_kernels.search(
+        features.values, features.count, guess, np.array([0.03, 0.03, 0.12]), 3.0, to.origin, *to.field, best
+    )
+    assert abs(best[2] - guess[2]) < 0.3  # three deviations are 0.36, where the scan agrees best
