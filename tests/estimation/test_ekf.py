@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
-from longreach.estimation import _kernels, ekf
+from longreach.estimation import _kernels, ekf, replay_buffer
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.fusion import Keyframe, PoseClone, init, step
 from longreach.estimation.motion import MotionModel
@@ -23,7 +23,7 @@ def spd(rng, n, scale):
 
 def all_corrected(state):
     """The filter that a smoother looks back over: fixes and all else correct the whole state."""
-    return replace(state, history=(state.history[-1]._replace(links=()),))
+    return replace(state, buffer=replay_buffer.init(state.newest.key, state.newest._replace(links=())))
 
 
 def textbook_chain(dt, variance, tau=0.5):

@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from longreach.app.configuration import EstimateConfig, Source, filter_for
+from longreach.app.configuration import EstimateConfig
 from longreach.app.evaluate import (
     Evaluation,
     Metrics,
@@ -17,16 +18,16 @@ from longreach.app.evaluate import (
     innovations,
     match_consistency,
 )
-from longreach.app.filter_events import lidar_events, wheel_events
-from longreach.app.start import start_pose
 from longreach.errors import EstimationError
-from longreach.estimation import fusion, offline
-from longreach.estimation.fusion import Correction, Event
-from longreach.estimation.observation import PlanarImu, planar_imu
+from longreach.estimation import fusion
+from longreach.estimation.fusion import Correction
 from longreach.estimation.smoother import smooth
 from longreach.evaluation.consistency import consistency_metrics
+from longreach.geometry import se2
+from longreach.localization import localizer
+from longreach.localization.config import Source, filter_for
+from longreach.localization.localizer import LocalizerState, Output, Reading, Row
 from longreach.measurement import Recording, RelativePoseMeasurement
-from longreach.odometry import motion_prior
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import lidar_odometry
 from longreach.odometry.scan_match import ScanMatch
@@ -36,6 +37,8 @@ from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 _FILTERED = ("fused", "localized", "smoothed")
+_BLOCK = 500  # readings between two reports of progress
+_WIDER = 3.0  # the fixes are smoothed as well, so what they say of the start is taken with a larger deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,60 +97,95 @@ def estimate(
         EstimationError: a source that was asked for is not in the recording, or nothing is there to fuse.
     """
     robot, config = description_of(robot), config or EstimateConfig()
-    config = config.model_copy(update={"filter": filter_for(config, robot, recording)})
+    config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    sources = _sources(recording, config)
-
-    wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # (3.21), (3.22)
+    sources = _sources(recording, robot, config)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
-    prior = wheels.measurements if "wheels" in sources else ()
-    alone, matches = None, ()
-    if "lidar" in sources or (compared and len(recording.scans) > 1):
-        alone, matches = _matches(recording, robot, config, prior, compared, tell)
-    dead_reckoning = {
-        "lidar": integrate(_found(alone or ()), [scan.stamp for scan in recording.scans]),
-        "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
-    }
 
-    odometry = {"wheels": wheel_events(wheels.measurements), "lidar": lidar_events(matches)}
-    events = _events(recording, robot, sources, odometry)
-    start = fusion.init(events[0].stamp, np.zeros(3), None, config.filter)
-    state, fused, corrections = offline.run(start, events, lambda i: tell("fusion", i / len(events)))  # (3.27)–(3.29)
-    estimated, judged, tallies = {"fused": fused}, {"fused": corrections}, state.counters
-    if "fixes" in sources:  # by a filter of its own, so that no fix moves the smooth path
-        paths = {**dead_reckoning, "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans])}
-        start, events = _with_fixes(recording, sources, paths, events, config)
-        state, estimated["localized"], all_ = offline.run(start, events, lambda i: tell("fusion", i / len(events)))
-        names = {fix.source for fix in recording.fixes}
-        judged["localized"] = [correction for correction in all_ if correction.source in names]
-        tallies |= {name: state.counters[name] for name in names}
+    wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
+    alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in sources else ()
+    done = _localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
+    estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
     if config.smooth:
-        estimated["smoothed"] = smooth(start, events)
+        estimated["smoothed"] = _smoothed(done)
 
     tell("evaluation", 0.0)
-    rows = {name: _at_rows(path, recording) for name, path in estimated.items()}
+    rows = {name: _at_rows(path, recording) for name, path in estimated.items() if len(path)}
+    matches = alone if "wheels" in sources else done.output.matches
+    dead_reckoning = {
+        "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans]),
+        "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
+    }
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, judged, _found(matches))
-    corrections = [correction for name in judged for correction in judged[name]]
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, matches, tallies), *evaluation.remarks)
-    return Estimate(
-        recording, robot, config, matches, corrections, replace(evaluation, metrics=metrics, remarks=remarks)
+    metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
+    remarks = (*recording.remarks, *_remarks(wheels.breaks, done), *evaluation.remarks)
+    evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
+    return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
+
+
+class _Done(NamedTuple):
+    """The localizer after all readings, and all that it gave out."""
+
+    state: LocalizerState
+    output: Output
+
+
+def _localized(
+    recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: Sequence[Source], tell: Progress
+) -> _Done:
+    """Fold the localizer's step over all readings; they are in order, so it needs no history."""
+    found = {"wheels": recording.wheels, "imu": recording.imu, "fixes": recording.fixes, "lidar": recording.scans}
+    readings: list[Reading] = [reading for name in found if name in sources for reading in found[name]]
+    readings.sort(key=lambda reading: reading.stamp)
+    ordered = config.model_copy(update={"filter": config.filter.changed(history=0.0)})
+    state = localizer.init(
+        robot,
+        ordered,
+        T_base_laser=sensor_mount(recording, robot, "lidar"),
+        T_base_imu=sensor_mount(recording, robot, "imu"),
     )
+    output = Output([], [], [], [], [])
+    for i in range(0, len(readings), _BLOCK):
+        tell("fusion", i / len(readings))
+        state, new = localizer.step(state, readings[i : i + _BLOCK])
+        for all_, some in zip(output, new, strict=True):
+            all_ += some
+    for all_, some in zip(output, localizer.settled(state), strict=True):
+        all_ += some
+    names = {fix.source for fix in recording.fixes}
+    if not any(correction.dof and correction.source not in names for correction in output.corrections):
+        raise EstimationError(
+            f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
+            f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes show no motion; it takes two good "
+            "wheel records or scans."
+        )
+    return _Done(state, output)
 
 
-def _with_fixes(
-    recording: Recording,
-    sources: Sequence[Source],
-    dead_reckoning: Mapping[str, PoseTrajectory],
-    events: Sequence[Event],
-    config: EstimateConfig,
-) -> tuple[fusion.FusionState, list[Event]]:
-    """Return a filter that starts on the map, where fixes put it, and the events with them."""
-    events = fusion.in_order([*events, *recording.fixes])
-    begin = events[0].stamp
-    paths = [path for name, path in dead_reckoning.items() if name in sources]
-    return fusion.init(begin, *start_pose(recording.fixes, paths, begin), config.filter), events
+def _path(rows: Sequence[Row]) -> PoseTrajectory:
+    stamps, poses, covariances = zip(*rows, strict=True) if rows else ((), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances))
+
+
+def _smoothed(done: _Done) -> PoseTrajectory:
+    """Look back over all events; with fixes from where the start is on the map."""
+    rows, on_map, events = done.output.rows, done.output.rows_on_map, fusion.in_order(done.output.events)
+    pose, P = np.zeros(3), None
+    if on_map:
+        moved = next(row.pose for row in reversed(rows) if row.stamp <= on_map[0].stamp)
+        A = se2.adjoint(moved)
+        pose, P = se2.compose(on_map[0].pose, se2.inverse(moved)), _WIDER**2 * A @ on_map[0].covariance @ A.T
+    return smooth(fusion.init(events[0].stamp, pose, P, done.state.now.settings), events)
+
+
+def _lidar_alone(
+    recording: Recording, robot: RobotDescription, config: EstimateConfig, tell: Progress
+) -> tuple[ScanMatch, ...]:
+    scans, mount = recording.scans, sensor_mount(recording, robot, "lidar")
+    if len(scans) < 2:
+        return ()
+    return lidar_odometry(scans, mount, config.lidar, lambda i: tell("LIDAR odometry", i / len(scans)))
 
 
 def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> Float[np.ndarray, "4 4"]:
@@ -160,93 +198,40 @@ def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> 
     return np.asarray(recording.mounts.get(frame, np.eye(4)))
 
 
-def _sources(recording: Recording, config: EstimateConfig) -> tuple[Source, ...]:
+def _sources(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
+    """Return what is fused, of what can be.
+
+    Raises:
+        EstimationError: what is asked for is not there, or cannot be used.
+    """
+    if any(later.stamp < scan.stamp for scan, later in pairwise(recording.scans)):
+        raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
     there: dict[Source, bool] = {
         "wheels": len(recording.wheels) > 1,
         "lidar": len(recording.scans) > 1,
         "imu": len(recording.imu) > 0,
         "fixes": len(recording.fixes) > 0,
     }
-    if config.sources is None:
-        return tuple(source for source in there if there[source])
-    missing = [source for source in config.sources if not there[source]]
+    sources = config.sources or tuple(source for source in there if there[source])
+    missing = [source for source in sources if not there[source]]
     if missing:
         have = ", ".join(source for source in there if there[source]) or "nothing that can be fused"
         raise EstimationError(f"The recording has no {' and no '.join(missing)} to fuse; it has {have}.")
-    return config.sources
-
-
-def _matches(
-    recording: Recording,
-    robot: RobotDescription,
-    config: EstimateConfig,
-    wheels: Sequence[RelativePoseMeasurement],
-    alone: bool,
-    tell: Progress,
-) -> tuple[tuple[ScanMatch, ...] | None, tuple[ScanMatch, ...]]:
-    """Match the scans by LIDAR alone, where that is asked for, and for the filter with a prior from the wheels.
-
-    Of scans of one stamp the last is taken, for between them is no time to move.
-    """
-    scans = recording.scans
-    if any(later.stamp < scan.stamp for scan, later in pairwise(scans)):
-        raise EstimationError("The stamps of the scans run backwards; repair them with monotone_clock.")
-    some = [scan for scan, later in pairwise(scans) if later.stamp > scan.stamp] + list(scans[-1:])
-    mount, runs = sensor_mount(recording, robot, "lidar"), 2 if wheels and alone else 1
-
-    def odometry(priors: Sequence[np.ndarray | None] | None, run: int) -> tuple[ScanMatch, ...]:
-        show = lambda i: tell("LIDAR odometry", (run + i / len(some)) / runs)  # noqa: E731
-        return lidar_odometry(some, mount, config.lidar, show, priors)
-
-    matches = odometry(motion_prior.between_scans(wheels, [scan.stamp for scan in some]) if wheels else None, 0)
-    return odometry(None, 1) if wheels and alone else None if wheels else matches, matches
+    if "imu" in sources and robot.imu is None:
+        raise EstimationError(f"The recording has an IMU, but the description of {robot.name} does not say what it is.")
+    return sources
 
 
 def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:
     return tuple(match.measurement for match in matches if match.measurement is not None)
 
 
-def _events(
-    recording: Recording,
-    robot: RobotDescription,
-    sources: Sequence[Source],
-    odometry: Mapping[str, Sequence[Event]],
-) -> list[Event]:
-    """Return what the sources measured, as the filter takes it."""
-    events: list[Event] = []
-    if "imu" in sources:
-        events += _imu(recording, robot)
-    for source in sources:
-        events += odometry.get(source, ())
-    if not events:
-        raise EstimationError(
-            f"There is nothing to fuse: {len(recording.wheels)} wheel records, {len(recording.scans)} scans, "
-            f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes tell of no motion; it takes two good "
-            "wheel records or scans."
-        )
-    return fusion.in_order(events)
-
-
-def _imu(recording: Recording, robot: RobotDescription) -> tuple[PlanarImu, ...]:
-    if robot.imu is None:
-        raise EstimationError(f"The recording has an IMU, but the description of {robot.name} does not say what it is.")
-    T = sensor_mount(recording, robot, "imu")
-    noise = robot.imu
-    R = (noise.gyro_deviation**2, noise.acceleration_deviation**2)
-    with np.errstate(invalid="ignore"):  # the filter refuses what is not finite, and counts it
-        return tuple(planar_imu(imu, T, *R) for imu in recording.imu)
-
-
-def _with_consistency(
-    evaluation: Evaluation,
-    judged: Mapping[str, Sequence[Correction]],
-    matches: Sequence[RelativePoseMeasurement],
-) -> Metrics:
+def _with_consistency(evaluation: Evaluation, done: _Done, fixes: set[str]) -> Metrics:
     """Add the NIS of each source to the metrics of what it corrects, and the NEES of matches to those of the LIDAR."""
-    metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
-    for name, corrections in judged.items():
-        for source, consistency in innovations(corrections).items():
-            metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
+    metrics, matches = {name: dict(one) for name, one in evaluation.metrics.items()}, _found(done.output.matches)
+    for source, consistency in innovations(done.output.corrections).items():
+        name = "localized" if source in fixes else "fused"
+        metrics.setdefault(name, {}).update(consistency_metrics(f"nis_{source}", consistency))
     truth = evaluation.trajectories.get("truth")
     if matches and "lidar" in metrics and truth is not None and truth.has_heading:
         metrics["lidar"] |= consistency_metrics("match_nees", match_consistency(matches, truth))
@@ -272,14 +257,14 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, matches: Sequence[ScanMatch], tallies: Mapping[str, fusion.Tally]) -> list[str]:
-    remarks = []
+def _remarks(breaks: int, done: _Done) -> list[str]:
+    remarks, matches = [], done.output.matches
     if breaks:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
     failed = [match for match in matches if match.measurement is None]
     if failed:
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
-    for source, tally in tallies.items():
+    for source, tally in done.state.tallies.items():
         if tally.gated or tally.refused or tally.inflated:
             total = tally.used + tally.gated + tally.refused
             remarks.append(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.app.configuration import EstimateConfig, EvaluationConfig, Source
+from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import Estimate, estimate
 from longreach.app.evaluate import Evaluation, Metrics, evaluate
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
@@ -18,6 +18,7 @@ from longreach.io.bag_writer import write_bag
 from longreach.io.config import to_yaml
 from longreach.io.robots import load_robot
 from longreach.io.whole_files import whole_folder
+from longreach.localization.config import Source
 from longreach.measurement import Recording
 from longreach.sim.record import make_recording
 

@@ -6,7 +6,7 @@ did goes out as a `Moment`, to whomever. There is no network in here.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,6 @@ from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
 from longreach.control.safety_checks import Stop
 from longreach.control.ticker import Ticker
-from longreach.geometry import se2
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _FORGOTTEN = 2.0  # a client that is gone for so long is not waited for [s]; ours
@@ -41,40 +40,29 @@ class Orders(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What one tick knew and did; wheels (3,): the pose by the wheels alone; loop_time [s]: what the tick took."""
+    """What one tick knew and did; loop_time [s]: what the tick took."""
 
     tick: Tick
     readings: Readings
     state: TrackerState
-    wheels: Float[np.ndarray, "3"]
     loop_time: float
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotSide:
-    """The loop's memory: the tracker's, the pose by the wheels alone (3,) and the stamp of the last step in it [s]."""
-
-    tracker: TrackerState
-    wheels: Float[np.ndarray, "3"]
-    stepped: float
+    @property
+    def wheels(self) -> Float[np.ndarray, "3"]:
+        """The base's pose by the wheels alone."""
+        return self.state.localizer.now.dead_reckoned
 
 
-def step(side: RobotSide, readings: Readings, orders: Orders) -> tuple[RobotSide, Command, Tick]:
+def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[TrackerState, Command, Tick]:
     """Take the orders and do one tick."""
-    state, now = side.tracker, readings.stamp
-    gate = state.gate
+    now, gate = readings.stamp, state.gate
     goal = _carried_on(state, orders, now) if orders.goal is None else orders.goal  # a Hold is empty, and so false
     if orders.reset:
         gate = safety.reset(gate)
     if orders.stop:
         gate, goal = replace(gate, stop=Stop("emergency stop", orders.stop, now, True)), Hold()
     heartbeat = now if orders.heartbeat is None else orders.heartbeat  # where nobody holds the robot nobody is missed
-    state, command, tick = tracker.step(replace(state, goal=goal, gate=gate), readings, heartbeat, orders.gripper)
-    wheels, stepped = side.wheels, side.stepped
-    for way in state.localizer.steps:
-        if way.stamp > stepped:
-            wheels, stepped = se2.compose(wheels, way.pose), way.stamp
-    return RobotSide(state, wheels, stepped), command, tick
+    return tracker.step(replace(state, goal=goal, gate=gate), readings, heartbeat, orders.gripper)
 
 
 def _carried_on(state: TrackerState, orders: Orders, now: float) -> Goal:
@@ -119,18 +107,17 @@ def run(
         ControlError: the robot does not say where its arm is.
     """
     state, _ = tracker.begin(hardware, wait_until, robot, Hold(), base, config or TrackerConfig())
-    side = RobotSide(state, np.array(base), state.localizer.start)
     rhythm, reason = ticker.init(1.0 / hardware.promises.arm_rate, state.stamp), "interrupted"
     try:
         while not (over := ended()):
             wait_until(rhythm.due)
             readings = hardware.read()
             rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
-            side, command, tick = step(side, readings, take(readings.stamp))
+            state, command, tick = step(state, readings, take(readings.stamp))
             hardware.write(command)
             took = time.perf_counter() - began
             rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, took))
-            publish(Moment(tick, readings, side.tracker, side.wheels, took))
+            publish(Moment(tick, readings, state, took))
         reason = over
     finally:
         hardware.stop(reason)

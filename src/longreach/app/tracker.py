@@ -15,10 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.app import localizer
 from longreach.app.configuration import EstimateConfig
 from longreach.app.goals import Follow, Goal, wished
-from longreach.app.localizer import LocalizerState, Row
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
@@ -29,6 +27,8 @@ from longreach.control.ticker import Ticker
 from longreach.control.whole_body import WholeBodyConfig
 from longreach.errors import ControlError
 from longreach.estimation.fusion import Correction
+from longreach.localization import localizer
+from longreach.localization.localizer import LocalizerState, Reading, Row
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _WAIT_FOR_JOINTS = 2.0  # [s] until a robot says where its arm is
@@ -50,6 +50,7 @@ class Tick(NamedTuple):
     """What one tick knew and did; q_reference (n,) of the goal, q (n,) as estimated, base first, both at `stamp` [s].
 
     covariance (3, 3) of the base's ξ; command: what left the gate; stop: why it stopped the robot, or None.
+    rows: what is settled of the estimate now.
     """
 
     stamp: float
@@ -58,6 +59,7 @@ class Tick(NamedTuple):
     covariance: np.ndarray
     command: Command
     stop: Stop | None
+    rows: Sequence[Row] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +100,7 @@ def init(
         check_plan(robot, goal.plan, q, config)
     gate = safety.init(limits_of(promises, config.safety), now, q[robot.arm])
     pose = q[robot.base] if robot.base.stop else np.zeros(3)
-    where = localizer.init(robot.description, now, pose, config.estimate)
+    where = localizer.init(robot.description, config.estimate, pose)
     return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / promises.base_rate, now)
 
 
@@ -121,7 +123,7 @@ def step(
     heartbeat: when the client was heard [s]; gripper: a new wish for the fingers.
     """
     now, robot, config, goal = readings.stamp, state.robot, state.config, state.goal
-    where, corrections = localizer.step(state.localizer, readings)  # estimate
+    where, estimated = localizer.step(state.localizer, sensed(readings))  # estimate
     belief = where.belief(now)
     arm = _arm(state, readings)
     q = np.concatenate([belief.pose[: robot.base.stop], arm])
@@ -132,15 +134,20 @@ def step(
     if gripper is not None:
         wish = Command(now, gripper=gripper) if wish is None else replace(wish, gripper=gripper)
 
-    health = Health(tuple(_innovation(c) for c in corrections if c.dof or c.status == "refused"), heartbeat)
+    health = Health(tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused"), heartbeat)
     gate, command = safety.step(state.gate, wish, readings, health, now)  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
     base_due = max(state.base_due + state.base_period, now) if due else state.base_due
-    tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop)
+    tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop, estimated.rows)
     after = replace(state, goal=goal, stamp=now, arm=arm, localizer=where, gate=gate, base_due=base_due)
     return after, command, tick
+
+
+def sensed(readings: Readings) -> list[Reading]:
+    """Return what a localizer takes of the readings."""
+    return [*readings.wheels, *readings.imu, *readings.scans]
 
 
 def _arm(state: TrackerState, readings: Readings) -> np.ndarray:
@@ -213,11 +220,10 @@ def run(
             wait_until(rhythm.due)
             readings = hardware.read()
             rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
-            before = state.localizer
             state, command, tick = step(state, readings, None if heartbeat is None else heartbeat())
             hardware.write(command)
             rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, time.perf_counter() - began))
-            rows += localizer.settled(before, state.localizer)
+            rows += tick.rows
             ticks.append(tick)
             kept.append(readings)
             if watch is not None:
@@ -227,7 +233,7 @@ def run(
         reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
     finally:
         hardware.stop(reason or "The plan has ended.")
-    return Run(ticks, kept, [*rows, *localizer.settled(state.localizer, None)], rhythm, reason)
+    return Run(ticks, kept, [*rows, *localizer.settled(state.localizer).rows], rhythm, reason)
 
 
 def begin(
@@ -241,7 +247,8 @@ def begin(
     """Return the loop before its first tick, and what was read until the robot said where its arm is."""
     kept, arm = _first_readings(hardware, wait_until, robot)
     state = init(robot, hardware, goal, np.concatenate([base[: robot.base.stop], arm]), kept[-1].stamp, config)
-    return replace(state, localizer=_begun(state.localizer, _merged(kept))), kept
+    where, _ = localizer.step(state.localizer, [one for readings in kept for one in sensed(readings)])
+    return replace(state, localizer=where), kept
 
 
 def _first_readings(
@@ -262,18 +269,3 @@ def _first_readings(
             )
         wait_until(kept[-1].stamp + 1.0 / hardware.promises.arm_rate)
         kept.append(hardware.read())
-
-
-def _begun(where: LocalizerState, first: Readings) -> LocalizerState:
-    """Return the localizer with the first readings in it: it begins with the oldest of them, the robot at rest."""
-    begin = localizer.oldest(first, where.config)
-    return localizer.step(localizer.init(where.robot, begin, where.filter.belief.pose, where.config), first)[0]
-
-
-def _merged(kept: Sequence[Readings]) -> Readings:
-    """Return several readings as one."""
-    together = {
-        name: tuple(record for readings in kept for record in getattr(readings, name))
-        for name in ("wheels", "scans", "imu", "joints", "wrenches")
-    }
-    return replace(kept[-1], **together)

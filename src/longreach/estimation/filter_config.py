@@ -2,7 +2,7 @@
 
 import math
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -34,16 +34,14 @@ class FilterConfig(BaseModel):
         allow_inf_nan=False,
         description="growth of the gyro's bias [rad/s/√s]; usual for MEMS gyros",
     )
-    stamp_deviation: float = Field(
-        default=0.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="how wrong stamps are, standard deviation [s]; a recording's is measured from its scans' rhythm",
+    stamp_deviation: _NotNegative | None = Field(
+        default=None,
+        description="how wrong stamps are, standard deviation [s]; null: a localizer learns it from the scans' rhythm",
     )
-    coupled_to_wheels: tuple[bool, bool, bool] = Field(
-        default=(True, True, True),
+    coupled_to_wheels: tuple[bool, bool, bool] | None = Field(
+        default=None,
         description="axes in which the pose shares the errors of the wheels' steps, and the motion model has no say "
-        "against them; not the heading's where a gyro is fused, which knows better",
+        "against them; null: all, but the heading while a gyro is fused, which knows better",
     )
     scale_deviation: tuple[_NotNegative, _NotNegative, _NotNegative] = Field(
         default=(0.0, 0.0, 0.0),
@@ -89,16 +87,23 @@ class FilterConfig(BaseModel):
         default=60.0, gt=0, description="a stamp further ahead than this is not believed at once [s]; ours"
     )
 
+    def changed(self, **changes: Any) -> "FilterConfig":
+        """Return settings that differ in some, checked; the others that were given stay given."""
+        given = {name: getattr(self, name) for name in self.model_fields_set}
+        return FilterConfig(**{**given, **changes})
+
     @cached_property
     def motion(self) -> MotionModel:
         """The motion model of these settings."""
         variance = np.square(self.acceleration_deviation)
-        return MotionModel(self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation)
+        return MotionModel(
+            self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation or 0.0
+        )
 
     @cached_property
     def wheels(self) -> WheelModel:
         """What these settings say of the wheels' steps."""
-        coupled = np.array(self.coupled_to_wheels, dtype=float)
+        coupled = np.ones(3) if self.coupled_to_wheels is None else np.array(self.coupled_to_wheels, dtype=float)
         return WheelModel(coupled, np.square(self.scale_deviation), self.scale_reach)
 
     @cached_property

@@ -23,7 +23,7 @@ def run(
     pending = False  # the state's stamp has an event and no row yet
 
     def emit() -> None:
-        rows.append((state.stamp, *state.history[-1].pose))
+        rows.append((state.stamp, *state.newest.pose))
 
     for event in events:
         after, correction = step(state, event)

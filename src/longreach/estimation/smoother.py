@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from longreach.errors import EstimationError
-from longreach.estimation import ekf
+from longreach.estimation import ekf, replay_buffer
 from longreach.estimation.fusion import Event, FusionState, step
 from longreach.estimation.snapshot import Snapshot
 from longreach.geometry import se2
@@ -28,13 +28,12 @@ def smooth(state: FusionState, events: Iterable[Event]) -> PoseTrajectory:
 
     Give `init` a config with history=0: sorted events need none.
     """
-    first = state.history[-1]._replace(links=())
-    state = replace(state, history=(*state.history[:-1], first))
+    state = replace(state, buffer=replay_buffer.init(state.newest.key, state.newest._replace(links=())))
     taken: list[Snapshot] = []
     for event in events:
         state, _ = step(state, event)
-        if not taken or state.history[-1] is not taken[-1]:
-            taken.append(state.history[-1])
+        if not taken or state.newest is not taken[-1]:
+            taken.append(state.newest)
     if not taken:
         raise EstimationError("No measurement could be taken: none has a stamp at or after the start of the filter.")
     return _back(taken)

@@ -27,7 +27,7 @@ def goal_name(moment: Moment) -> str:
 def state(robot: MobileManipulator, topics: Sensed, moment: Moment, truth: Truth | None) -> Said:
     """Yield what makes a `LiveState`; the arm comes last and completes it."""
     tick, stamp = moment.tick, moment.tick.stamp
-    newest = moment.state.localizer.filter.belief
+    newest = moment.state.localizer.belief()
     if robot.base.stop:
         twist, pose = newest.twist, tick.q[robot.base]
         said = Odometry(stamp, pose, twist, tick.covariance)

@@ -6,24 +6,23 @@ With absolute fixes `odometry/localized` says the same in the frame map, and tf 
 nothing that comes late can change it any more, so that a recording played in gives what it gives offline.
 """
 
+import math
 import time
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.app import localizer
 from longreach.app.configuration import EstimateConfig
-from longreach.app.localizer import LocalizerState, Row
-from longreach.app.start import start_pose
-from longreach.estimation.fusion import Correction
+from longreach.app.tracker import sensed
 from longreach.estimation.gaussian import Belief
 from longreach.geometry import se2
 from longreach.io import messages
 from longreach.io.bag_topics import ODOMETRY
-from longreach.measurement import LaserScan, Odometry
+from longreach.localization import localizer
+from longreach.localization.config import LocalizerConfig
+from longreach.localization.localizer import LocalizerState, Output, Row
+from longreach.measurement import Odometry
 from longreach.robot.description import RobotDescription
 from longreach.ros import wire
 from longreach.ros.diagnostics import Diagnostics
@@ -31,9 +30,7 @@ from longreach.ros.frames import Broadcaster, Mounts, planar
 from longreach.ros.sensors import Heard, Role, Sensors
 
 _SOURCES: tuple[Role, ...] = ("wheels", "lidar", "imu", "fixes")
-_BEFORE = 0.5  # [s] that is listened before the estimate begins with the oldest of it: the filter's history
-_PIECE = 0.2  # [s]
-_PATIENCE = 0.1  # [s] that a scan waits for the wheels that it is matched with
+_BEFORE = 0.5  # [s] that tf is listened to before the estimate begins
 
 
 class NodeConfig(BaseModel):
@@ -66,96 +63,41 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
         while goes_on():
             time.sleep(1.0 / config.rate)
             before = estimator.where
-            rows, corrections = estimator.take(sensors.take(), time.monotonic())
-            out.settled(rows)
-            if estimator.where is not None and (before is None or estimator.where.filter.stamp > before.filter.stamp):
+            output = estimator.take(sensors.take(), time.monotonic())
+            out.settled(output.rows)
+            if estimator.where is not None and (before is None or estimator.where.stamp > before.stamp):
                 out.filtered(estimator.where)
-            health.take(corrections)
+            health.take(output.corrections)
 
 
 class Estimator:
-    """The estimate of what is heard, portion by portion; `where`: its state, None before it has begun."""
+    """The estimate of what is heard, portion by portion; `where`: its state, None before it has begun.
 
-    def __init__(self, robot: RobotDescription, config: EstimateConfig, mounts: Mounts | None = None) -> None:
+    mounts: where sensors are that the description does not place. It begins when tf has had the time to say that.
+    """
+
+    def __init__(self, robot: RobotDescription, config: LocalizerConfig, mounts: Mounts | None = None) -> None:
         self.where: LocalizerState | None = None
         self._robot, self._config, self._mounts = robot, config, mounts
         self._kept: list[Heard] = []
-        self._began = 0.0
-        self._held: list[tuple[float, LaserScan]] = []  # and when it came
-        self._wheels = -np.inf  # stamp of the newest [s]
+        self._began = math.inf
 
-    def take(self, heard: Heard, now: float) -> tuple[list[Row], list[Correction]]:
+    def take(self, heard: Heard, now: float) -> Output:
         """Return the rows that this has settled, and what became of the measurements; now [s] on any clock."""
-        heard = self._in_time(heard, now)
+        self._kept.append(heard)
+        readings = [one for some in self._kept for one in (*sensed(some.readings), *some.fixes)]
+        self._began = min(self._began, now) if readings else math.inf
         if self.where is None:
-            if not self._kept:
-                self._began = now
-            self._kept += [heard] if _says_something(heard) else []
-            if not self._kept or now - self._began < _BEFORE:
-                return [], []
-            heard, self._kept = _merged(self._kept), []
-            robot, readings = self._robot, heard.readings
+            if not readings or (self._mounts is not None and now - self._began < _BEFORE):
+                return Output([], [], [], [], [])
+            robot = self._robot
             if self._mounts is not None:
-                robot = self._mounts.described(robot, readings.scans, readings.imu)
-            self.where = begin(robot, self._config, heard)
-        rows: list[Row] = []
-        corrections: list[Correction] = []
-        for piece in _pieces(heard):
-            before = self.where
-            self.where, judged = localizer.step(before, piece.readings, piece.fixes)
-            rows += localizer.settled(before, self.where)
-            corrections += judged
-        return rows, corrections
-
-    def _in_time(self, heard: Heard, now: float) -> Heard:
-        """Hold scans back until the wheels up to their stamps are there, which a replay looks for a match with."""
-        readings = heard.readings
-        if readings.wheels:
-            self._wheels = readings.wheels[-1].stamp
-        self._held += [(now, scan) for scan in readings.scans]
-        ready = 0
-        for came, scan in self._held:
-            if np.isfinite(self._wheels) and scan.stamp > self._wheels and now - came < _PATIENCE:
-                break
-            ready += 1
-        scans = tuple(scan for _, scan in self._held[:ready])
-        self._held = self._held[ready:]
-        return heard._replace(readings=replace(readings, scans=scans))
-
-
-def begin(robot: RobotDescription, config: EstimateConfig, first: Heard) -> LocalizerState:
-    """Start with the oldest of what was heard: at the identity, on the map where absolute poses say the robot was."""
-    fixes = first.fixes if config.sources is None or "fixes" in config.sources else ()
-    stamp = min([localizer.oldest(first.readings, config), *(fix.stamp for fix in fixes)])
-    return localizer.init(robot, stamp, np.zeros(3), config, start_pose(fixes, (), stamp) if fixes else None)
-
-
-def _says_something(heard: Heard) -> bool:
-    readings = heard.readings
-    return any((readings.wheels, readings.scans, readings.imu, heard.fixes))
-
-
-def _merged(kept: list[Heard]) -> Heard:
-    """Return several portions as one."""
-    together = {
-        name: tuple(record for heard in kept for record in getattr(heard.readings, name))
-        for name in ("wheels", "scans", "imu")
-    }
-    return Heard(replace(kept[-1].readings, **together), tuple(fix for heard in kept for fix in heard.fixes))
-
-
-def _pieces(heard: Heard) -> list[Heard]:
-    """Return a portion cut into pieces by stamp, each much shorter than the filter's history, in which rows settle."""
-    parts: dict[int, dict[str, list[Any]]] = {}
-    named = {"fixes": heard.fixes, **{name: getattr(heard.readings, name) for name in ("wheels", "scans", "imu")}}
-    for name, records in named.items():
-        for record in records:
-            parts.setdefault(int(record.stamp // _PIECE), {name: [] for name in named})[name].append(record)
-    pieces = []
-    for _, part in sorted(parts.items()):
-        fixes = tuple(part.pop("fixes"))
-        pieces.append(Heard(replace(heard.readings, **{name: tuple(part[name]) for name in part}), fixes))
-    return pieces
+                scans = tuple(scan for some in self._kept for scan in some.readings.scans)
+                robot = self._mounts.described(robot, scans, tuple(i for some in self._kept for i in some.readings.imu))
+            self.where = localizer.init(robot, self._config)
+        self._kept.clear()
+        self.where, output = localizer.step(self.where, readings)
+        return output
 
 
 class _Outputs:
@@ -170,11 +112,11 @@ class _Outputs:
 
     def filtered(self, where: LocalizerState) -> None:
         """Send what is believed, on its topics and as tf: odom → base, and where there are fixes map → odom."""
-        belief, config = where.filter.belief, self._config
+        belief, config = where.belief(), self._config
         stamp = belief.stamp
         self._filtered.send(self._odometry(config.frame, belief))
         frames = {config.base: (config.frame, planar(belief.pose))}
-        if where.localized is not None:
+        if where.now.global_ is not None:
             localized = where.belief_on_map(stamp)
             self._localized.send(self._odometry(config.map, localized))
             frames[config.frame] = config.map, planar(se2.compose(localized.pose, se2.inverse(belief.pose)))
