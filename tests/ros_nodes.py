@@ -146,4 +146,4 @@ def rows_heard(robot, config, recording, late, tick):
     """The rows that settle, by stamp."""
     estimator = Estimator(robot, config)
     heard = portions(recording, late, tick)
-    return {row.stamp: row for portion, now in heard for row in estimator.take(portion, now)[0]}
+    return {row.stamp: row for portion, now in heard for row in estimator.take(portion, now).rows}

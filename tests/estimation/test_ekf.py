@@ -86,9 +86,9 @@ def test_without_rotation_it_is_the_linear_kalman_filter(rng):
         state, correction = step(
             state,
             (
-                PoseMeasurement(now, np.array([*z, 0.0]), full),
-                TwistMeasurement(now, np.array([*z, 0.0]), full),
-                PlanarImu(now, 0.0, z, np.zeros(2), np.inf, R),
+                PoseMeasurement(now, np.array([*z, 0.0]), full, source="one"),
+                TwistMeasurement(now, np.array([*z, 0.0]), full, source="one"),
+                PlanarImu(now, 0.0, z, np.zeros(2), np.inf, R, source="one"),
             )[kind],
         )
         S = H @ P @ H.T + R

@@ -8,12 +8,13 @@ from keyframe_events import CONFIG, events_of, unchecked
 from scipy.stats import chi2
 
 from longreach.errors import EstimationError
-from longreach.estimation import _kernels, offline
+from longreach.estimation import _kernels
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, in_order, init
+from longreach.estimation.fusion import Keyframe, in_order, init, step
 from longreach.estimation.smoother import smooth
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
+from longreach.trajectory import PoseTrajectory
 
 STILL = 1e-9
 
@@ -65,34 +66,42 @@ def test_without_rotation_it_is_batch_least_squares(rng):
     np.testing.assert_allclose(smoothed.covariance[:, 0, 0], variance, rtol=1e-6)
 
 
+def filtered(state, events):
+    """The filter's path: the pose after the last event of each stamp."""
+    rows = {}
+    for event in in_order(events):
+        state, _ = step(state, event)
+        rows[state.stamp] = state.newest.pose
+    return PoseTrajectory(np.array(list(rows)), *(np.array(column) for column in zip(*rows.values(), strict=True)))
+
+
 def middle_error(rng, config):
     events, x, _ = events_of(rng)
     events.append(PoseMeasurement(events[-1].stamp, x[:3], 1e-8 * np.eye(3)))  # all is known in the end
     state = init(0.0, np.zeros(3), None, config)
-    _, filtered, _ = offline.run(state, in_order(events))
-    return filtered, smooth(state, in_order(events))
+    return filtered(state, events), smooth(state, in_order(events))
 
 
 def test_it_is_never_less_sure_than_the_filter_and_ends_near_it(rng):
-    filtered, smoothed = middle_error(rng, CONFIG)
-    np.testing.assert_array_equal(smoothed.stamps, filtered.stamps)
-    xi = se2.difference(smoothed.poses[-1], filtered.poses[-1])  # each leaves another part of what is told unused
-    assert xi @ np.linalg.solve(filtered.covariance[-1], xi) < chi2.ppf(0.9, 3)
-    assert np.all(np.trace(smoothed.covariance, axis1=1, axis2=2) <= np.trace(filtered.covariance, axis1=1, axis2=2))
+    path, smoothed = middle_error(rng, CONFIG)
+    np.testing.assert_array_equal(smoothed.stamps, path.stamps)
+    xi = se2.difference(smoothed.poses[-1], path.poses[-1])  # each leaves another part of what is told unused
+    assert xi @ np.linalg.solve(path.covariance[-1], xi) < chi2.ppf(0.9, 3)
+    assert np.all(np.trace(smoothed.covariance, axis1=1, axis2=2) <= np.trace(path.covariance, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(smoothed.covariance).min() > -1e-12
 
 
 def errors_of(rng, runs, row):
     """Errors (runs, 3) of the filter and of the smoother in a row, and the smoother's NEES."""
-    filtered, smoothed, nees = [], [], []
+    direct, smoothed, nees = [], [], []
     for _ in range(runs):
         events, _, truth = events_of(rng)
         state = init(0.0, np.zeros(3), None, CONFIG)
-        path, back = offline.run(state, in_order(events))[1], smooth(state, in_order(events))
-        filtered.append(se2.difference(path.poses[row], truth[row]))
+        path, back = filtered(state, events), smooth(state, in_order(events))
+        direct.append(se2.difference(path.poses[row], truth[row]))
         smoothed.append(se2.difference(back.poses[row], truth[row]))
         nees.append(smoothed[-1] @ np.linalg.solve(back.covariance[row], smoothed[-1]))
-    return np.array(filtered), np.array(smoothed), np.array(nees)
+    return np.array(direct), np.array(smoothed), np.array(nees)
 
 
 def test_over_many_runs_it_is_closer_than_the_filter_and_as_wrong_as_it_says(rng):

@@ -1,24 +1,35 @@
-"""What a scan corrects on real logs: no more than its innovation is worth, and never the reference."""
+"""Real logs one reading at a time: the rows of the estimate, and no correction beyond what its innovation is worth."""
 
 import numpy as np
 import pytest
+from arrivals import late, readings_of, settled_rows
 from correction_bounds import corrections_of
 from real.conftest import unchecked
 
-from longreach.app.filter_events import lidar_events, wheel_events
-from longreach.estimation import fusion, offline
-from longreach.odometry.wheel import wheel_odometry
+from longreach.localization import localizer
 
 LOGS = ("intel", "aces", "fr079", "csail")
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_a_correction_is_as_large_as_its_innovation_and_does_not_move_the_reference(estimated, name, monkeypatch):
+def test_one_by_one_and_late_it_is_the_estimate_and_each_correction_is_as_large_as_its_innovation(
+    estimated, name, monkeypatch, rng
+):
     result = estimated(f"{name}/{name}.clf.bz2", name)
-    wheels = wheel_odometry(result.recording.wheels, result.robot, result.config.wheels).measurements
-    events = fusion.in_order([*wheel_events(wheels), *lidar_events(result.matches)])
-    start = fusion.init(events[0].stamp, np.zeros(3), None, result.config.filter)
-    taken = corrections_of(monkeypatch, lambda: unchecked(offline.run, start, events))
+    rows = []
+
+    def run():
+        """Once more, one reading at a time in the order of arrival, one in a hundred of them late."""
+        arriving = late(readings_of(result.recording), rng, 0.3, share=0.01)
+        state = localizer.init(result.robot, result.config)
+        rows.append(unchecked(settled_rows, state, ([reading] for reading in arriving)))
+
+    taken = corrections_of(monkeypatch, run)
+    fused = result.trajectories["fused"]
+    online = {row.stamp: row for row in rows[0][0]}
+    for stamp, pose, covariance in zip(fused.clock.tolist(), fused.poses, fused.covariance, strict=True):
+        np.testing.assert_allclose(online[stamp].pose, pose, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(online[stamp].covariance, covariance, rtol=0.0, atol=1e-12)
     assert len(taken) > len(result.recording.scans)
     assert max(correction.reference_moved for correction in taken) == 0.0
     for c in taken:

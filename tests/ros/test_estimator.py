@@ -52,8 +52,8 @@ def test_whatever_comes_when_the_settled_rows_are_those_of_the_recording(thing, 
     assert len(settled) > 50
     for i in settled:
         row = rows[float(fused.stamps[i])]
-        np.testing.assert_allclose(row.pose, fused.poses[i], atol=1e-6)
-        np.testing.assert_allclose(row.covariance, fused.covariance[i], atol=1e-9)
+        np.testing.assert_array_equal(row.pose, fused.poses[i])
+        np.testing.assert_array_equal(row.covariance, fused.covariance[i])
 
 
 def test_a_stamp_from_another_century_is_refused_and_costs_nothing(thing, recording):
@@ -62,14 +62,14 @@ def test_a_stamp_from_another_century_is_refused_and_costs_nothing(thing, record
     imu = replace(portion.readings.imu[0], stamp=4e9)
     heard[40] = portion._replace(readings=replace(portion.readings, imu=(*portion.readings.imu, imu))), now
     estimator = Estimator(thing, CONFIG)
-    judged = [correction for portion, now in heard for correction in estimator.take(portion, now)[1]]
+    judged = [correction for portion, now in heard for correction in estimator.take(portion, now).corrections]
     assert [c.stamp for c in judged if c.status == "refused"] == [4e9]
-    assert estimator.where.filter.stamp < 4.0
+    assert estimator.where.stamp < 4.0
 
 
 def test_before_anything_is_heard_there_is_no_estimate(thing):
     estimator = Estimator(thing, CONFIG)
-    assert estimator.take(Heard(Readings(1.0), ()), 100.0) == ([], [])
+    assert estimator.take(Heard(Readings(1.0), ()), 100.0) == ([], [], [], [], [])
     assert estimator.where is None
 
 

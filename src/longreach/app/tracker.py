@@ -146,8 +146,8 @@ def step(
 
 
 def sensed(readings: Readings) -> list[Reading]:
-    """Return what a localizer takes of the readings."""
-    return [*readings.wheels, *readings.imu, *readings.scans]
+    """Return what a localizer takes of the readings; which of two kinds came first is not known, so by their stamps."""
+    return sorted([*readings.wheels, *readings.imu, *readings.scans], key=lambda reading: reading.stamp)
 
 
 def _arm(state: TrackerState, readings: Readings) -> np.ndarray:

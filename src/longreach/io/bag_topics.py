@@ -27,6 +27,7 @@ _TYPES = {
 }
 # Where `write_bag` puts what no topic of a description is for; what is there is no sensor.
 ESTIMATE, TOOL, PLAN = "/odometry/filtered", "/tool/", "/joint_trajectory"
+SETTLED = "/odometry/settled"
 # Topics that are taken where the description names none: those of `write_bag`.
 USUAL = {"joints": "/arm/joint_states", "wrench": "/wrench"}
 _FOUND_BY_TYPE = ("wheels", "lidar", "imu")
@@ -50,7 +51,7 @@ def choose_topics(
     if truth_topic is not None:
         names["truth"] = truth_topic
     chosen: dict[str, Topic] = {}
-    sensed = [topic for topic in bag.topics if topic.name != ESTIMATE and not topic.name.startswith(TOOL)]
+    sensed = [topic for topic in bag.topics if topic.name not in (ESTIMATE, SETTLED) and not topic.name.startswith(TOOL)]
     for role, name in names.items():
         others = {other for r, other in names.items() if r != role}
         free = [topic for topic in sensed if topic.type in _TYPES[role] and topic.name not in others]

@@ -47,6 +47,7 @@ def _key(name: str, type: str) -> str:
 
 # What the robot says; what it senses is in `Sensed`.
 ESTIMATE = Topic("/odometry/filtered", "nav_msgs/msg/Odometry")
+SETTLED = Topic("/odometry/settled", "nav_msgs/msg/Odometry")
 WHEELS_ALONE = Topic("/odom", "nav_msgs/msg/Odometry")
 TOOL_TRUTH = Topic("/tool/truth", "geometry_msgs/msg/PoseStamped")
 REFERENCE = Topic("/reference", "sensor_msgs/msg/JointState", 65536)

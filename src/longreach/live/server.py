@@ -28,7 +28,7 @@ from longreach.sim.simulated import Truth
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
 _STREAMS = (
-    keys.ESTIMATE, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF, keys.TF_STATIC, keys.PLAN,
+    keys.ESTIMATE, keys.SETTLED, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF, keys.TF_STATIC, keys.PLAN,
 )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ class Server:
         self._say_status(moment, now)
         for topic, message in telling.state(self._robot, self._sensed, moment, truth):
             self._say(topic, message, now)
-        for topic, message in telling.sensors(self._robot, self._sensed, moment):
+        for topic, message in (*telling.sensors(self._robot, self._sensed, moment), *telling.settled(moment)):
             self._say(topic, message, now)
         if now >= self._frames_due:
             self._frames_due = now + _FRAMES_EVERY - 1e-6

@@ -75,6 +75,12 @@ def sensors(robot: MobileManipulator, topics: Sensed, moment: Moment) -> Said:
         yield topics.wrench, messages.wrench(TYPES, wrench.stamp, wrench)
 
 
+def settled(moment: Moment) -> Said:
+    """Yield the rows of the estimate that nothing changes any more."""
+    for row in moment.tick.rows:
+        yield keys.SETTLED, messages.odometry(TYPES, row.stamp, Odometry(row.stamp, row.pose, None, row.covariance))
+
+
 def status(moment: Moment, values: Mapping[str, str]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray: how the loop is, whether it is stopped, and what else is to be said."""
     stop, goal = moment.tick.stop, moment.state.goal

@@ -46,6 +46,7 @@ from longreach.odometry.lidar import LidarState
 from longreach.odometry.scan_match import ScanMatch
 from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
+from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import stamp_deviation
 
 __all__ = ["Localizer", "LocalizerConfig", "LocalizerState", "Output", "Reading", "Row", "init", "settled", "step"]
@@ -320,7 +321,7 @@ def _scan(state: LocalizerState, before: Estimates, key: Key, scan: LaserScan) -
         events = [Keyframe(match.stamp, "lidar", match.measurement, match.keyframe_noise)]
     now = _with_rhythm(state, before._replace(lidar=odometry), "lidar", scan.stamp)
     now, corrections = _filtered(now, key, events)
-    return now, _Taken(corrections, events, match if known else None)
+    return now, _Taken(corrections, events, match if known or odometry is before.lidar else None)
 
 
 def _imu(state: LocalizerState, before: Estimates, key: Key, imu: Imu) -> tuple[Estimates, _Taken]:
@@ -388,12 +389,13 @@ class Localizer:
 
     def __init__(
         self,
-        robot: RobotDescription,
+        robot: RobotDescription | MobileManipulator,
         config: LocalizerConfig | None = None,
         start: Float[np.ndarray, "3"] | None = None,
         start_on_map: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
     ) -> None:
-        self.state = init(robot, config, start, start_on_map)
+        """Start before the first reading; the arguments are those of `init`."""
+        self.state = init(description_of(robot), config, start, start_on_map)
 
     def step(self, *readings: Reading) -> Output:
         """Take readings; return what that has settled, and what became of them."""

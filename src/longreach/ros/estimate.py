@@ -86,6 +86,7 @@ class Estimator:
         """Return the rows that this has settled, and what became of the measurements; now [s] on any clock."""
         self._kept.append(heard)
         readings = [one for some in self._kept for one in (*sensed(some.readings), *some.fixes)]
+        readings.sort(key=lambda reading: reading.stamp)
         self._began = min(self._began, now) if readings else math.inf
         if self.where is None:
             if not readings or (self._mounts is not None and now - self._began < _BEFORE):
