@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from longreach.estimation import _spatial_run_kernels as kernels
-from longreach.estimation.spatial import control_of, model_of
+from longreach.estimation.spatial import _kernels as kernels
+from longreach.estimation.spatial.online import init
 from longreach.spatial_measurement import SpatialRecording
 from longreach.spatial_settings import SpatialSettings
 
@@ -28,22 +28,21 @@ def table() -> tuple[np.ndarray, ...]:
     z[:, 0], z[:, 1] = 1.0 + 0.1 * np.sin(t), 0.1 * np.cos(t)
     H[:, [0, 1, 2], [0, 1, 2]], R[:, [0, 1, 2], [0, 1, 2]] = 1.0, 0.01
     block, k = np.full(COUNT, 6), np.full(COUNT, 3)
-    return t, block, k, z, H, R, np.full(COUNT, np.inf), np.zeros((COUNT, 3)), np.zeros(COUNT)
+    return t, block, k, np.full(COUNT, np.inf), np.zeros(COUNT), z, H, R, np.zeros((COUNT, 3))
 
 
 def microseconds(settings: SpatialSettings, repeats: int) -> float:
     """Return the least time a measurement of some runs."""
     rows = table()
     ticks = np.array([rows[0][-1]])
-    model, control = model_of(settings), control_of(SpatialRecording("none", ()), settings)
-    least, room = np.inf, kernels.work_room()
+    state, room, least = init(settings, SpatialRecording("none", ())), kernels.work_room(), np.inf
     for _ in range(repeats + 1):  # the first one compiles
         status, nis, m = np.zeros(COUNT, dtype=np.int8), np.zeros(COUNT), len(ticks)
-        out = (status, nis, np.zeros(m), np.zeros((m, 15)), np.zeros((m, 6, 6)), np.zeros(3), np.zeros(3))
         x, P = np.zeros(15), 0.01 * np.eye(15)
         x[9:12] = 0.01, 0.02, 0.3
+        out = (status, nis, np.zeros(m), np.zeros((m, 15)), np.zeros((m, 6, 6)), np.zeros(3), x[9:12].copy())
         began = time.process_time()
-        kernels.run(x, P, rows, ticks, model, control, 0.1, False, out, room)
+        kernels.run(x, P, rows, ticks, state.model, state.control, 0.1, False, out, room)
         least = min(least, time.process_time() - began)
         assert np.all(status == kernels.USED)
         assert np.all(np.isfinite(x))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from real.conftest import unchecked
 
-from longreach.estimation.spatial import estimate_in_space
+from longreach.estimation.spatial.batch import estimate_in_space
 from longreach.io.robot_localization import read_parameters
 from longreach.io.robot_localization_bag import read_spatial_recording
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from longreach.app.results import write_results
 from longreach.app.warmup import warm_up
-from longreach.estimation.spatial import SpatialEstimate, estimate_in_space
+from longreach.estimation.spatial.batch import SpatialEstimate, estimate_in_space
 from longreach.evaluation import figures, spatial_figures
 from longreach.evaluation.consistency import Consistency, consistency_metrics
 from longreach.evaluation.tables import Metric, metric

@@ -17,7 +17,7 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
 from longreach.control.hardware import Command
 from longreach.errors import ConfigError
-from longreach.estimation.spatial import estimate_in_space
+from longreach.estimation.spatial.batch import estimate_in_space
 from longreach.geometry import se3, so3
 from longreach.io.config import load_description
 from longreach.io.robots import load_robot

@@ -33,3 +33,10 @@ def angle_rates(rho: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     cp = np.copysign(np.maximum(np.abs(cp), _STEEP), cp)
     o, i = np.zeros_like(sr), np.ones_like(sr)
     return np.stack((i, sr * sp / cp, cr * sp / cp, o, cr, -sr, o, sr / cp, cr / cp), axis=-1).reshape(-1, 3, 3)
+
+
+def turned(C: Float[np.ndarray, "n 6 6"], A: np.ndarray, B: np.ndarray) -> Float[np.ndarray, "n 6 6"]:
+    """Return covariances whose first three values are multiplied by A, and the others by B: (n, 3, 3) or (3, 3)."""
+    J = np.zeros_like(C)
+    J[:, :3, :3], J[:, 3:, 3:] = A, B
+    return J @ C @ np.swapaxes(J, 1, 2)

@@ -4,17 +4,12 @@ import numpy as np
 import pytest
 from jacobians import assert_is_jacobian
 
-from longreach.estimation import _spatial_kernels as steps
-from longreach.estimation import _spatial_run_kernels as kernels
-from longreach.estimation import _spatial_unscented_kernels as unscented
-from longreach.estimation.spatial import control_of, model_of
-from longreach.estimation.spatial_angles import angle_rates, body_rates, from_angles, to_angles
-from longreach.geometry import so3
+from longreach.estimation.spatial import _kernels as kernels
+from longreach.estimation.spatial.online import init
 from longreach.spatial_measurement import SpatialRecording
 from longreach.spatial_settings import SpatialSettings
 
 Q = SpatialSettings(()).process_noise
-STILL = control_of(SpatialRecording("none", ()), SpatialSettings(()))
 
 
 def spd(rng, n, scale):
@@ -24,14 +19,14 @@ def spd(rng, n, scale):
 
 def moved(x, dt, lead):
     out = np.empty(15)
-    steps.move(x, dt, lead, np.empty((3, 3)), out)
+    kernels.move(x, dt, lead, np.empty((3, 3)), out)
     return out
 
 
 def transition(x, dt, lead):
     R, J, F = np.empty((3, 3)), np.empty((6, 12)), np.eye(15)
-    steps.move(x, dt, lead, R, np.empty(15))
-    steps.jacobian(x, dt, lead, R, J)
+    kernels.move(x, dt, lead, R, np.empty(15))
+    kernels.jacobian(x, dt, lead, R, J)
     F[:6, 3:] += J
     F[6:9, 12:] = dt * np.eye(3)
     return F
@@ -39,14 +34,15 @@ def transition(x, dt, lead):
 
 def advance(x, P, dt, **settings):
     x, P = x.copy(), P.copy()
-    kernels.advance(x, P, dt, dt, model_of(SpatialSettings((), **settings)), STILL, kernels.work_room())
+    state = init(SpatialSettings((), **settings), SpatialRecording("none", ()))
+    kernels.advance(x, P, dt, dt, state.model, state.control, kernels.work_room())
     return x, P
 
 
 def correct(x, P, start, r, H, R, gate=np.inf):
     x, P = x.copy(), P.copy()
     room = kernels.work_room()[1]
-    nis = steps.correct(x, P, P, False, len(r), start, H.shape[1], r, H, R, gate, room)
+    nis = kernels.correct(x, P, P, False, len(r), start, H.shape[1], r, H, R, gate, room)
     return x, P, nis
 
 
@@ -62,7 +58,7 @@ def test_the_jacobian_of_the_motion_is_right(rng, lead, dt):
 def test_the_jacobian_of_an_acceleration_is_right_in_tilt_and_acceleration(rng, gravity):
     room, H = kernels.work_room(), rng.normal(size=(6, 6))
     x, turning, lever = rng.normal(size=15) * 0.5, rng.normal(size=3), rng.normal(size=3)
-    row = (12, 3, rng.normal(size=6), H, np.eye(6), np.inf, lever, gravity)
+    row = (12, 3, np.inf, gravity, rng.normal(size=6), H, np.eye(6), lever)
 
     def innovation(x):
         kernels.observe(x, np.zeros((15, 15)), row, turning, False, room)
@@ -171,7 +167,7 @@ def test_as_robot_localization_the_ukf_corrects_without_the_last_noise(rng):
     K = bare @ G.T @ np.linalg.inv(G @ bare @ G.T + R)
     ours, covariance = x.copy(), P.copy()
     room = kernels.work_room()[1]
-    steps.correct(ours, covariance, bare, True, 2, 6, 6, r, H, R, np.inf, room)
+    kernels.correct(ours, covariance, bare, True, 2, 6, 6, r, H, R, np.inf, room)
     np.testing.assert_allclose(ours, K @ r, atol=1e-13)
     np.testing.assert_allclose(covariance, P - K @ (G @ bare @ G.T) @ K.T, atol=1e-13)
 
@@ -205,19 +201,5 @@ def test_dynamic_noise_grows_with_the_square_of_the_speed(rng):
 def test_a_semidefinite_covariance_has_a_root(rng):
     A = rng.normal(size=(15, 4))
     P, L = A @ A.T, np.full((15, 15), np.nan)
-    unscented._semidefinite_root(P, L)
+    assert not kernels.cholesky(P, 15, 1e-14, L)
     np.testing.assert_allclose(L @ L.T, P, atol=1e-6)
-
-
-def test_angles_and_rotations_are_each_others_inverse(rng):
-    rho = np.column_stack([rng.uniform(-3, 3, 20), rng.uniform(-1.5, 1.5, 20), rng.uniform(-3, 3, 20)])
-    np.testing.assert_allclose(to_angles(from_angles(rho)), rho, atol=1e-12)
-    for angles, R in zip(rho, from_angles(rho), strict=True):
-        np.testing.assert_allclose(R, so3.from_roll_pitch_yaw(*angles), atol=1e-12)
-    np.testing.assert_allclose(angle_rates(rho) @ body_rates(rho), np.broadcast_to(np.eye(3), (20, 3, 3)), atol=1e-9)
-
-
-def test_body_rates_are_the_derivative_of_the_rotation(rng):
-    rho = rng.normal(size=(1, 3)) * 0.5
-    R = from_angles(rho)[0]
-    assert_is_jacobian(lambda a: so3.log(R.T @ from_angles(a[None])[0]), body_rates(rho)[0], rho[0])

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from estimation.test_spatial import POSE, drive, pose, recording, sensor, twist
+from estimation.spatial.test_batch import POSE, drive, pose, recording, sensor, twist
 
-from longreach.estimation.spatial import estimate_in_space
-from longreach.estimation.spatial_online import init, predict, step
+from longreach.estimation.spatial.batch import estimate_in_space
+from longreach.estimation.spatial.online import init, predict, step
 from longreach.spatial_settings import SpatialSettings
 
 SENSORS = (sensor(), sensor("pose", POSE), sensor("odom", POSE, differential=True))

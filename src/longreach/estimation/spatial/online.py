@@ -1,17 +1,19 @@
 """The 15-state filter one reading at a time, as they come in: late ones are taken where they belong, by going back.
 
-The same steps as `spatial.estimate_in_space` over a whole recording, from which it differs only by when the rates are
-differenced for a lever arm, and by predicting through a silence in one step.
+The steps are those over a whole recording (`batch`). It differs from that only by when the rates are differenced for a
+lever arm, and by predicting through a silence in one step.
 """
 
+from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _spatial_run_kernels as kernels
-from longreach.estimation.spatial import control_of, model_of, rows_of
+from longreach.estimation.spatial import _kernels as kernels
+from longreach.estimation.spatial.rows import rows_of
 from longreach.spatial_measurement import Reading, SpatialRecording
 from longreach.spatial_settings import SpatialSettings
 
@@ -28,7 +30,7 @@ class _Snapshot:
     mean: Float[np.ndarray, "15"]
     covariance: Float[np.ndarray, "15 15"]
     bare: Float[np.ndarray, "15 15"]
-    seen: Mapping[str, tuple[Reading, Reading]]
+    seen: Mapping[tuple[str, str], tuple[Reading, ...]]
     rates: tuple[float, np.ndarray, np.ndarray]  # since when, those then, and how they change
 
 
@@ -38,6 +40,8 @@ class SpatialState:
 
     settings: SpatialSettings
     frames: SpatialRecording
+    model: tuple[Any, ...]
+    control: tuple[Any, ...]
     history: tuple[_Snapshot, ...]
     late: int = 0
     ahead: int = 0
@@ -61,10 +65,22 @@ class SpatialState:
 
 def init(settings: SpatialSettings, frames: SpatialRecording) -> SpatialState:
     """Start a filter; `frames` says where frames are, and holds commands where there is a control input."""
-    x, P, still = settings.initial_state.copy(), settings.initial_covariance.copy(), np.zeros(3)
-    return SpatialState(
-        settings, frames, (_Snapshot((-np.inf, "", ""), -np.inf, None, x, P, P.copy(), {}, (-np.inf, still, still)),)
-    )
+    s, P, still = settings, settings.initial_covariance.copy(), np.zeros(3)
+    lead = 0.0 if s.as_robot_localization else 0.5  # as robot_localization does it, orientation lags a step behind
+    model = (s.process_noise.copy(), lead, s.as_robot_localization, s.filter == "ukf", s.alpha, s.kappa)
+    model += (s.dynamic_process_noise, s.two_d_mode)
+    first = _Snapshot((-np.inf, "", ""), -np.inf, None, s.initial_state.copy(), P, P, {}, (-np.inf, still, still))
+    return SpatialState(s, frames, model, _control(frames, s), (first,))
+
+
+def _control(frames: SpatialRecording, s: SpatialSettings) -> tuple[Any, ...]:
+    c = s.control
+    if c is None:
+        return np.zeros(0), np.zeros((0, 6)), np.zeros(6, dtype=np.bool_), np.zeros((4, 6)), 0.0
+    commands = sorted(frames.commands, key=lambda command: command.stamp)
+    limits = np.array([c.limits, c.gains, c.braking_limits, c.braking_gains])
+    twists = np.array([command.twist for command in commands]).reshape(-1, 6)
+    return np.array([command.stamp for command in commands]), twists, np.array(c.mask), limits, c.timeout
 
 
 def step(state: SpatialState, reading: Reading) -> SpatialState:
@@ -75,55 +91,44 @@ def step(state: SpatialState, reading: Reading) -> SpatialState:
         return replace(state, late=state.late + 1)
     if started and lead > max(span, state.settings.sensor_timeout) and state.waiting < _PATIENCE:
         return replace(state, ahead=state.ahead + 1, waiting=state.waiting + 1)
-    history, key = list(state.history), (reading.stamp, reading.source, type(reading).__name__)
-    place = len(history)
-    while place > 1 and history[place - 1].key > key:
-        place -= 1
-    later = [snapshot.reading for snapshot in history[place:]]
-    del history[place:]
-    for each in (reading, *later):
+    place = bisect(state.history, _key(reading), lo=1, key=lambda snapshot: snapshot.key)
+    history = list(state.history[:place])
+    for each in (reading, *(snapshot.reading for snapshot in state.history[place:])):
         assert each is not None
         history.append(_take(state, history[-1], each))
-    oldest = history[-1].key[0] - span
-    first = 0
-    while first + 1 < len(history) - 1 and history[first + 1].key[0] <= oldest:
-        first += 1
-    return replace(state, history=tuple(history[first:]), waiting=0)
+    first = bisect(history, history[-1].key[0] - span, lo=1, key=lambda snapshot: snapshot.key[0]) - 1
+    return replace(state, history=tuple(history[min(first, len(history) - 2) :]), waiting=0)
 
 
 def predict(state: SpatialState, stamp: float) -> tuple[Float[np.ndarray, "15"], Float[np.ndarray, "15 15"]]:
     """Return mean and covariance as they will be at a stamp not before the filter's [s]; the filter stays as it is."""
-    x, P, room = state.mean.copy(), state.covariance.copy(), kernels.work_room()
-    taken = state.history[-1].taken
-    if taken > -np.inf and stamp > taken:
-        _advance(state, x, P, stamp, stamp - taken, room)
+    x, P, taken = state.mean.copy(), state.covariance.copy(), state.history[-1].taken
+    if -np.inf < taken < stamp:
+        kernels.advance(x, P, stamp, stamp - taken, state.model, state.control, kernels.work_room())
     return x, P
 
 
-def _advance(state: SpatialState, x: np.ndarray, P: np.ndarray, t: float, dt: float, room: tuple) -> None:
-    kernels.advance(x, P, t, dt, model_of(state.settings), control_of(state.frames, state.settings), room)
+def _key(reading: Reading) -> tuple[float, str, str]:
+    return reading.stamp, reading.source, type(reading).__name__
 
 
 def _take(state: SpatialState, before: _Snapshot, reading: Reading) -> _Snapshot:
     """Predict to a reading, and correct by it; a differential pose needs the one before it."""
-    source, t, x, P = f"{reading.source} {type(reading).__name__}", reading.stamp, before.mean, before.covariance
-    key, seen = (t, reading.source, type(reading).__name__), before.seen.get(source)
-    rows = rows_of([*(seen or ()), reading], state.frames, state.settings)
-    known = {**before.seen, source: (seen[0] if seen else reading, reading)}
+    key = _key(reading)
+    t, source = key[0], key[1:]
+    earlier = before.seen.get(source, ())
+    seen = {**before.seen, source: (*earlier[:1], reading)}
+    rows = rows_of([*earlier, reading], state.frames, state.settings)
     if not rows or rows[0].stamps[-1] != t:
-        return replace(before, key=key, reading=reading, seen=known)
-    x, P, room, r = x.copy(), P.copy(), kernels.work_room(), rows[0]
+        return replace(before, key=key, reading=reading, seen=seen)
+    x, P, room = before.mean.copy(), before.covariance.copy(), kernels.work_room()
     room[0][0][:] = before.bare
+    r = rows[0]
+    row = (r.block, r.k, r.gate, r.gravity, r.z[-1], r.H[-1], r.R[-1], r.lever[-1])
     since, rates, turning = before.rates
-    is_first, gate = before.taken == -np.inf, r.gate
-    if is_first:
-        since, rates, gate = t, x[9:12].copy(), np.inf
-    row = (r.block, r.k, r.z[-1].copy(), r.H[-1].copy(), r.R[-1].copy(), gate, r.lever[-1].copy(), r.gravity)
-    if is_first:
-        kernels.forget(P, row, room[0][0])
-    elif t > before.taken:
-        _advance(state, x, P, t, t - before.taken, room)
-    kernels.take(x, P, row, turning, model_of(state.settings), room)
+    if before.taken == -np.inf:
+        since, rates = t, x[9:12].copy()
+    kernels.step(x, P, before.taken, t, row, turning, state.model, state.control, room)
     if t - since >= 1.0 / state.settings.frequency:
         since, rates, turning = t, x[9:12].copy(), (x[9:12] - rates) / (t - since)
-    return _Snapshot(key, t, reading, x, P, room[0][0].copy(), known, (since, rates, turning))
+    return _Snapshot(key, t, reading, x, P, room[0][0], seen, (since, rates, turning))

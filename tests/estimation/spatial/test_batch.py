@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from longreach.errors import EstimationError
-from longreach.estimation import _spatial_kernels as steps
-from longreach.estimation.spatial import estimate_in_space, rows_of
-from longreach.estimation.spatial_angles import to_angles
-from longreach.estimation.spatial_order import judge
+from longreach.estimation.spatial import _kernels as kernels
+from longreach.estimation.spatial.angles import to_angles
+from longreach.estimation.spatial.batch import estimate_in_space, late_and_ahead
+from longreach.estimation.spatial.rows import rows_of
 from longreach.evaluation.consistency import chi2_bounds
 from longreach.geometry import se3, so3
 from longreach.spatial_measurement import AccelerationReading, Command, PoseReading, SpatialRecording, TwistReading
@@ -279,7 +279,7 @@ def test_a_stamp_from_the_future_holds_up_nothing(place):
 
 def test_a_pause_in_the_recording_is_no_future():
     stamps = np.concatenate([np.arange(0, 5, 0.1), np.arange(300, 305, 0.1)])
-    late, ahead = judge(stamps, 1.0)
+    late, ahead = late_and_ahead(stamps, 1.0)
     assert not late.any()
     assert not ahead.any()
 
@@ -356,7 +356,7 @@ def truth_and_readings(rng, settings):
     for k in range(40):
         if k:
             after = np.empty(15)
-            steps.move(x, dt, 0.5, np.empty((3, 3)), after)
+            kernels.move(x, dt, 0.5, np.empty((3, 3)), after)
             x = after + np.sqrt(dt) * root * rng.normal(size=15)
         readings.append(twist(k * dt, x[6:12] + 0.02 * rng.normal(size=6), 4e-4))
         if k % 5 == 3:
