@@ -18,10 +18,8 @@ def smallest(values, k):
                 values[i], values[j] = values[j], values[i]
                 i += 1
                 j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
+        if j < k:
             low = i
-        else:
-            break
+        if k < i:
+            high = j
     return values[k]
