@@ -1,9 +1,9 @@
 """Compiled parts of both range flows: a scan's pyramid, the rows of its flow, their robust solution, its covariance.
 
 A pyramid is one flat array; level l occupies [start[l], start[l + 1]). Ranges are metres, 0 is null.
-The m rows of ρ = b + aᵀ ξ are columns of A (8, m): 0 to 2: a; 3 to 5: what an error of the slope R_α adds to a; 6: b;
+The m rows of ρ = b + aᵀ ξ are columns of A (8, m): 0 to 2: a; 3: b; 4 to 6: what an error of the slope R_α adds to a;
 7: space. Their weights are Cauchy's, 1/(1 + (kρ)²), or the truncated parabola's, 1 - (kρ)².
-Loops over beams run with fastmath, so nothing infinite or NaN may enter (`scan_pyramid` replaces them by 0).
+Loops over beams run with fastmath, so nothing infinite or NaN may enter: `scan_pyramid` makes them 0.
 """
 
 import math
@@ -33,7 +33,7 @@ def scan_pyramid(ranges, low, high, flipped, cos, sin, increment, motion, share,
         r = ranges[n - 1 - u] if flipped else ranges[u]
         out[u] = r if r > 0.0 and r >= low and r <= high and r < math.inf else 0.0
     if share > 0.0:
-        deskew(out.copy(), cos, sin, increment, motion, share, flipped, out, np.empty(n))
+        deskew(out.copy(), cos, sin, increment, motion, share, flipped, out)
     build_pyramid(out, start, pyramid)
 
 
@@ -77,14 +77,13 @@ def carried(r, cos, sin, increment, x, y, cos_theta, sin_theta):
 
 
 @kernel(fastmath=True)
-def deskew(r, cos, sin, increment, motion, share, flipped, out, weight):
+def deskew(r, cos, sin, increment, motion, share, flipped, out):
     """Fill out (n,) with the ranges as they would be seen from where the sweep began.
 
     motion (3,): the sensor's twist from scan to scan; share: the part of it that goes by from beam to beam.
     """
-    n = len(r)
-    for u in range(n):
-        out[u] = weight[u] = 0.0
+    n, weight = len(r), np.zeros(len(r))
+    out[:] = 0.0
     for u in range(n):
         if r[u] <= 0.0:
             continue
@@ -142,9 +141,9 @@ def flow_rows(old, warped, cos, sin, increment, reach, noise, symmetric, work, m
             else:
                 change = 0.2 * (abs((old[u + 1] - old[u - 1]) - (warped[u + 1] - warped[u - 1])) + abs(bend))
         w = 1.0 / math.sqrt(R_t * R_t + R_a * R_a + change + noise * noise)
-        A[3, m], A[4, m], A[5, m] = w * k / mean[u] * sin[u], -w * k / mean[u] * cos[u], -w * k / reach
-        A[0, m], A[1, m], A[2, m] = w * cos[u] + A[3, m] * R_a, w * sin[u] + A[4, m] * R_a, A[5, m] * R_a
-        A[6, m] = w * R_t
+        A[4, m], A[5, m], A[6, m] = w * k / mean[u] * sin[u], -w * k / mean[u] * cos[u], -w * k / reach
+        A[0, m], A[1, m], A[2, m] = w * cos[u] + A[4, m] * R_a, w * sin[u] + A[5, m] * R_a, A[6, m] * R_a
+        A[3, m] = w * R_t
         largest = max(largest, w)
         m += 1
     for j in range(7):
@@ -154,14 +153,14 @@ def flow_rows(old, warped, cos, sin, increment, reach, noise, symmetric, work, m
 
 
 @kernel(fastmath=True)
-def normal_equations(A, m, xi, k, truncated, H, g):
-    """Fill H with Σ w a aᵀ and g with -Σ w a b; return Σ w ρ² and the energy, at the weights w of ξ. (3.25)
+def normal_equations(A, m, xi, k, truncated, H):
+    """Fill H (3, 4) with Σ w a aᵀ and Σ w a b; return Σ w ρ² and the energy, at the weights w of ξ. (3.25)
 
     The energy is that of the smooth truncated parabola, in units of where it ends: Σ z (1 - z/2), 1/2 beyond.
     """
     squares = energy = 0.0
     for i in range(m):
-        residual = A[6, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2]
+        residual = A[3, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2]
         z = k * k * residual * residual
         if truncated:
             z = min(z, 1.0)
@@ -170,13 +169,12 @@ def normal_equations(A, m, xi, k, truncated, H, g):
         squares += A[7, i] * residual * residual
     for p in range(3):
         for q in range(p, 4):
-            total, row = 0.0, q if q < 3 else 6
+            total = 0.0
             for i in range(m):
-                total += A[7, i] * A[p, i] * A[row, i]
+                total += A[7, i] * A[p, i] * A[q, i]
+            H[p, q] = total
             if q < 3:
-                H[p, q] = H[q, p] = total
-            else:
-                g[p] = -total
+                H[q, p] = total
     return squares, energy
 
 
@@ -185,7 +183,7 @@ def _residual_scale(A, m, xi, truncated):
     """Return k: of the truncated parabola from the median |ρ|, of some 300 rows, of Cauchy's weights from the mean."""
     step, n, total = max(m // 300, 1) if truncated else 1, 0, 0.0
     for i in range(0, m, step):
-        A[7, n] = abs(A[6, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2])
+        A[7, n] = abs(A[3, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2])
         total += A[7, n]
         n += 1
     if truncated:
@@ -195,18 +193,17 @@ def _residual_scale(A, m, xi, truncated):
 
 @kernel
 def robust_flow(A, m, iterations, truncated, xi, H, V):
-    """Step 6: least squares, then IRLS with weights from its residuals; leave H diagonal in its eigenbasis V.
+    """Step 6: least squares, then IRLS with weights from its residuals; leave H (3, 4) diagonal in its eigenbasis V.
 
     Cauchy's weights until ξ stands still, k = 1/(2.385 σ): 95 % efficient where the noise is Gaussian. The 2016 code's
     k = 10/mean|R_t| looks at a tenth of the noise only: its solution is a mode, three times as noisy here. Or those of
     the truncated parabola, which ends at four median residuals, until its energy falls by less than 0.5 %. (SRF 2018)
     Returns the variance of a weighted residual at the solution, and k.
     """
-    k = last = squares = 0.0
-    settled, g = False, np.empty(3)
+    k, last, squares, settled = 0.0, 0.0, 0.0, False
     xi[:] = 0.0
     for iteration in range(iterations + 2):
-        squares, energy = normal_equations(A, m, xi, k, truncated, H, g)
+        squares, energy = normal_equations(A, m, xi, k, truncated, H)
         symmetric_eigen(H, V)
         if truncated:
             settled = iteration > 1 and energy > 0.995 * last
@@ -214,7 +211,7 @@ def robust_flow(A, m, iterations, truncated, xi, H, V):
             break
         last = energy
         x0, x1, x2 = xi[0], xi[1], xi[2]
-        solve_in_basis(H, V, g[0], g[1], g[2], xi)
+        solve_in_basis(H, V, -H[0, 3], -H[1, 3], -H[2, 3], xi)
         if iteration == 0:
             k = _residual_scale(A, m, xi, truncated)
         else:
@@ -230,12 +227,11 @@ def flow_covariance(A, m, xi, k, truncated, H, V, covariance):
     The sandwich H⁻¹ S H⁻¹, with S the long-run covariance of the scores w ρ a over `_LAGS` neighbouring rows (Bartlett
     window, Newey & West 1987): smoothing and surfaces make neighbours err together, and rows differ in noise.
     H counts w where the curvature of the cost is w (2w - 1), or 3w - 2; `steepness` makes up for it.
-    The scores take the place of rows 3 to 5.
+    The scores take the place of rows 4 to 6.
     """
-    scores = A[3:6]
-    curvature = weights = 0.0
+    scores, curvature, weights = A[4:7], 0.0, 0.0
     for i in range(m):
-        residual = A[6, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2]
+        residual = A[3, i] + A[0, i] * xi[0] + A[1, i] * xi[1] + A[2, i] * xi[2]
         z = k * k * residual * residual
         share = max(1.0 - z, 0.0) if truncated else 1.0 / (1.0 + z)
         if share > 0.0:

@@ -1,7 +1,4 @@
-"""Compiled range flow of 2016: the warp of a scan, the pull to the last motion, and a match coarse to fine.
-
-Loops over beams run with fastmath, so nothing infinite or NaN may enter (`scan_pyramid` replaces them by 0).
-"""
+"""Compiled range flow of 2016: the warp of a scan, the pull to the last motion, and a match coarse to fine."""
 
 import math
 from typing import NamedTuple
@@ -98,7 +95,7 @@ def step_scan(
     planar mount (3,). Returns the rows used on the finest level, 0 where the result is not finite.
     """
     ranges, work, A = np.empty(len(scan)), np.empty((4, start[1])), np.empty((8, start[1]))
-    xi, expected, H, V = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    xi, expected, H, V = np.empty(3), np.empty(3), np.empty((3, 4)), np.empty((3, 3))
     local, adjoint = np.zeros((3, 3)), np.empty((3, 3))
     scan_pyramid(scan, low, high, flipped, cos, sin, increments[0], motion[1], share, start, ranges, new)
     x, y, theta, m = 0.0, 0.0, 0.0, 0

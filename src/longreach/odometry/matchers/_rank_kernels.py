@@ -16,8 +16,7 @@ def smallest(values, k):
                 j -= 1
             if i <= j:
                 values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
+                i, j = i + 1, j - 1
         if j < k:
             low = i
         if k < i:

@@ -1,7 +1,4 @@
-"""Compiled symmetric range flow of 2018: a scan against the last one, a keyscan, or both, by how their ranges differ.
-
-Rows are those of `_flow_kernels`; loops over beams run with fastmath, so nothing infinite or NaN may enter.
-"""
+"""Compiled symmetric range flow of 2018: a scan against the last one, a keyscan, or both, by how ranges differ."""
 
 import math
 
@@ -63,9 +60,9 @@ def find_observable(A, m, increment, reach, variance, H, V, observable):
     for j in range(3):
         errors = weights = 0.0
         for i in range(m):
-            along = A[3, i] * V[0, j] + A[4, i] * V[1, j] + A[5, i] * V[2, j]
+            along = A[4, i] * V[0, j] + A[5, i] * V[1, j] + A[6, i] * V[2, j]
             errors += along * along
-            weights += A[5, i] * A[5, i]
+            weights += A[6, i] * A[6, i]
         noise = _SLOPE * variance * m / max(weights * (increment * reach) ** 2, 1e-300)  # of a slope
         observable[j] = 1.0 if H[j, j] > _KNOWN * errors * noise + 1e-5 * largest else 0.0
 
@@ -93,9 +90,8 @@ def scatter(A, m, increment, reach):
     """Return 1.4826 times the median of the residuals |R_t| [m], and how many agree."""
     agreeing = 0
     for i in range(m):
-        A[7, i] = abs(A[6, i] / (A[5, i] * increment * reach))
-        if A[7, i] < _AGREE:
-            agreeing += 1
+        A[7, i] = abs(A[3, i] / (A[6, i] * increment * reach))
+        agreeing += A[7, i] < _AGREE
     return 1.4826 * smallest(A[7, :m], m // 2), agreeing
 
 
@@ -106,10 +102,10 @@ def whole_covariance(A, of_last, k, H, V, C, last, scale, reach, free, observabl
     C (3, 3): of the flow; last (3, 3): of the last scan's pose, which goes on by H⁻¹ H_last where that scan takes part.
     A part of the residuals' scale [m] does not average out. free (3,): variance where nothing is observable.
     """
-    project, whole, part, of_pose = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3))
+    project, whole, part, of_pose = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 4))
     column = np.empty(3)
     if of_last > 0:
-        _flow_kernels.normal_equations(A, of_last, np.zeros(3), k, True, of_pose, column)
+        _flow_kernels.normal_equations(A, of_last, np.zeros(3), k, True, of_pose)
     for j in range(3):
         solve_in_basis(H, V, of_pose[0, j], of_pose[1, j], of_pose[2, j], column)
         part[:, j] = column
@@ -141,7 +137,7 @@ def fit_scan(
     Returns the rows, the scale of the residuals [m], NaN where something is not finite, and how many of them agree.
     """
     work, A = np.empty((7, start[1])), np.empty((8, 2 * start[1]))
-    H, C, P, adjoint = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    H, C, P, adjoint = np.zeros((3, 4)), np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     ix, iy, it = se2_between(mount[0], mount[1], mount[2], 0.0, 0.0, 0.0)
     lx, ly, lt = as_seen_from(ix, iy, it, seen[0], seen[1], seen[2])  # the laser, as all that follows
     gx, gy, gt = as_seen_from(ix, iy, it, guess[0], guess[1], guess[2])
@@ -155,9 +151,7 @@ def fit_scan(
         warp_segments(key[at], c, s, increment, between[0], between[1], between[2], True, from_key, space)
         for _ in range(_flow_kernels.LINEARISATIONS):
             warp_segments(new[at], c, s, increment, motion[0], motion[1], motion[2], False, warped, space)
-            of_last = 0
-            if with_last:
-                of_last = flow_rows(last[at], warped, c, s, increment, reach, _NOISE, True, rest, 0, A)
+            of_last = flow_rows(last[at], warped, c, s, increment, reach, _NOISE, True, rest, 0, A) if with_last else 0
             m = flow_rows(from_key, warped, c, s, increment, reach, _NOISE, True, rest, of_last, A)
             if m <= 6:
                 break

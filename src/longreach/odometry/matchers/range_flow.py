@@ -89,10 +89,10 @@ class RangeFlow:
         if not same_tables(geometry, g):
             return f"the scan has {geometry.beams} beams and other angles than the last one"
         pyramid, motion, pose, P = np.empty(g.start[-1]), reference.motion.copy(), np.empty(3), np.empty((3, 3))
-        share = share_of_a_beam(scan, scan.stamp - reference.stamp)
         rows = _range_flow_kernels.step_scan(
-            scan.ranges, float(scan.range_min), float(scan.range_max), g.flipped, share, reference.pyramid, pyramid,
-            g.start, g.cos, g.sin, g.increments, motion, g.pose_base_laser, self.config, pose, P,
+            scan.ranges, float(scan.range_min), float(scan.range_max), g.flipped,
+            share_of_a_beam(scan, scan.stamp - reference.stamp), reference.pyramid, pyramid, g.start, g.cos, g.sin,
+            g.increments, motion, g.pose_base_laser, self.config, pose, P,
         )  # fmt: skip
         if rows < _FEWEST_ROWS:
             return f"only {rows} beams see something in both scans"

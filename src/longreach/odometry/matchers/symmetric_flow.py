@@ -98,8 +98,8 @@ class SymmetricFlow:
             return f"only {100 * inlier_ratio:.0f} % of the beams agree with the keyscan"
         directions = np.zeros((0, 3))
         if not observable.all():
-            directions = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
-            directions = directions @ se2.adjoint(g.pose_base_laser).T
+            of_laser = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
+            directions = of_laser @ se2.adjoint(g.pose_base_laser).T
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return Fit(pose, covariance, 0.5 * covariance, used, scale, inlier_ratio, directions)
 
