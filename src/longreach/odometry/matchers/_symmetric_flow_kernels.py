@@ -103,12 +103,10 @@ def whole_covariance(A, of_last, k, H, V, C, last, scale, reach, free, observabl
     A part of the residuals' scale [m] does not average out. free (3,): variance where nothing is observable.
     """
     project, whole, part, of_pose = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 4))
-    column = np.empty(3)
     if of_last > 0:
         _flow_kernels.normal_equations(A, of_last, np.zeros(3), k, True, of_pose)
     for j in range(3):
-        solve_in_basis(H, V, of_pose[0, j], of_pose[1, j], of_pose[2, j], column)
-        part[:, j] = column
+        solve_in_basis(H, V, of_pose[0, j], of_pose[1, j], of_pose[2, j], part[:, j])
     transformed(part, last, whole)
     unseen, shared = _UNSEEN * (_TWICE if of_last > 0 else 1.0), _COMMON * max(scale, _LEAST)
     for i in range(3):
