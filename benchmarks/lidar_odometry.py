@@ -24,9 +24,10 @@ import numpy as np
 from longreach.evaluation.alignment import rigid_alignment
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
-from longreach.odometry import lidar, range_flow
+from longreach.odometry import lidar
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar_config import LidarConfig, Method
+from longreach.odometry.matchers import range_flow
 from longreach.trajectory import PoseTrajectory
 
 Matches = list[RelativePoseMeasurement]

@@ -19,19 +19,24 @@ from longreach.io.config import load_description
 from longreach.io.recording import read_recording
 from longreach.io.relations import read_relations
 from longreach.measurement import Recording
-from longreach.odometry.range_flow import RangeFlowConfig, ScanMatch, init, lidar_odometry, step
+from longreach.odometry.matchers.range_flow import RangeFlow, RangeFlowConfig, lidar_odometry
+from longreach.odometry.scan_geometry import scan_geometry
+from longreach.odometry.scan_match import ScanMatch
 from longreach.sim.kinematic import make_recording
 from longreach.trajectory import PoseTrajectory
 
 
 def milliseconds_a_scan(recording: Recording, T_base_laser: np.ndarray) -> float:
-    """Return the median time of one step, everything included from LaserScan to measurement."""
-    config = RangeFlowConfig()
-    state = init(recording.scans[0], T_base_laser, config)
-    times = []
-    for scan in recording.scans[1:]:
+    """Return the median time of one match, everything included from LaserScan to pose and covariance."""
+    geometry, matcher = scan_geometry(recording.scans[0], T_base_laser, 5), RangeFlow(RangeFlowConfig())
+    fit, last, times = None, None, []
+    for scan in recording.scans:
         began = time.perf_counter()
-        state, _ = step(state, scan, T_base_laser, config)
+        features = matcher.features(scan, geometry, np.zeros(3), 0.0)
+        if last is not None:
+            fit = matcher.match(features, last, geometry, None)
+            assert not isinstance(fit, str), fit
+        last, _ = matcher.extended(last, features, geometry, fit)
         times.append(time.perf_counter() - began)
     return 1e3 * float(np.median(times[10:]))
 

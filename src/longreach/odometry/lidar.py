@@ -16,10 +16,9 @@ from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry.lidar_config import LidarConfig
 from longreach.odometry.matchers.point_to_line import PointToLine
-from longreach.odometry.matchers.range_flow import RangeFlow
+from longreach.odometry.matchers.range_flow import RangeFlow, RangeFlowConfig
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior, ScanMatcher
 from longreach.odometry.matchers.symmetric_flow import SymmetricFlow
-from longreach.odometry.range_flow import RangeFlowConfig
 from longreach.odometry.scan_geometry import (
     FEWEST_BEAMS,
     ScanGeometry,

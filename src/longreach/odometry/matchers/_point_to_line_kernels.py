@@ -14,7 +14,7 @@ from longreach.geometry._eigen_kernels import symmetric_eigen
 from longreach.geometry._kernels import se2_between, se2_compose, se2_exp
 from longreach.kernels import kernel
 from longreach.odometry._local_map_kernels import surface_rows
-from longreach.odometry._rank_kernels import smallest
+from longreach.odometry.matchers._rank_kernels import smallest
 
 FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known common coarse fine")
 ROWS = 8  # numbers kept of a matched point

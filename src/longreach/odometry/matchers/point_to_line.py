@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.measurement import LaserScan
-from longreach.odometry import _feature_kernels, local_map
+from longreach.odometry import local_map
 from longreach.odometry.local_map import LocalMap
-from longreach.odometry.matchers import _correlative_kernels, _point_to_line_kernels
+from longreach.odometry.matchers import _correlative_kernels, _feature_kernels, _point_to_line_kernels
 from longreach.odometry.matchers._point_to_line_kernels import FitSettings
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
 from longreach.odometry.scan_geometry import ScanGeometry

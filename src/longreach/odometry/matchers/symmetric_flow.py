@@ -17,33 +17,22 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.measurement import LaserScan
-from longreach.odometry import _pyramid_kernels
-from longreach.odometry.matchers import _symmetric_flow_kernels
+from longreach.odometry.matchers import _flow_kernels, _symmetric_flow_kernels
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
 from longreach.odometry.scan_geometry import ScanGeometry, same_tables
 
 _FEWEST = 12  # beams that see something in both scans, below which there is no match
 _FEWEST_INLIERS = 0.1  # share of the returns that agree, below which there is no match
 _OVERLAP = 0.6  # beams that the keyscan explains at least
-_REACH = 0.3  # [m] neighbours further away in range are not smoothed; the authors' code of 2016
 # Rotation [rad] since the keyscan beyond which there is a new one, a polynomial of the translation [m]; the authors'
 # code: small scanners, and those of 500 beams and more. Beyond its last root no rotation is small enough.
 _NEAR = np.polynomial.Polynomial((0.1054, -0.3149, 2.307, -7.617, -14.92)), 0.25
 _FAR = np.polynomial.Polynomial((0.2042, 0.5319, -4.371, 11.81, -10.66)), 0.68
-SETTINGS = _symmetric_flow_kernels.SymmetricSettings(
-    iterations=10,  # reweightings at most; the authors' code
-    linearisations=3,  # a level; the authors' code
-    settled=0.01,  # [m] a level's motion below which it is not linearised again; 0.05 in the authors' code
-    lags=6,  # neighbouring beams whose errors may be correlated
-    known=3.0,  # information over that from errors of slopes alone
-    common=0.02,  # of the residuals, the part common to all beams
-    agree=0.1,  # [m] a residual below it agrees
-)
 
 
 @dataclass(frozen=True, eq=False)
 class Keyscan(Features):
-    """The points x, y, r (3, n) of a scan in the laser's frame, r = 0 where there is none, and its pyramid."""
+    """The ranges (1, n) of a scan, counter-clockwise, 0 where there was no return, and their pyramid."""
 
     pyramid: Float[np.ndarray, " total"]
     geometry: ScanGeometry
@@ -69,16 +58,13 @@ class SymmetricFlow:
         self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
     ) -> Keyscan:
         """Return a scan as it would be seen from where its sweep began, with its pyramid."""
-        r, pyramid = np.empty(geometry.beams), np.empty(geometry.start[-1])
-        _pyramid_kernels.clean(scan.ranges, float(scan.range_min), float(scan.range_max), geometry.flipped, r)
-        cos, sin = geometry.finest
-        if share > 0.0:
-            swept, space = r.copy(), np.empty_like(r)
-            _pyramid_kernels.deskew(swept, cos, sin, geometry.increments[0], motion, share, geometry.flipped, r, space)
-        _pyramid_kernels.build_pyramid(r, geometry.start, _REACH, pyramid)
+        g, low, high = geometry, float(scan.range_min), float(scan.range_max)
+        r, pyramid = np.empty(g.beams), np.empty(g.start[-1])
+        _flow_kernels.scan_pyramid(
+            scan.ranges, low, high, g.flipped, g.cos, g.sin, g.increments[0], motion, share, g.start, r, pyramid
+        )
         count = int(np.count_nonzero(r))
-        reach = float(np.median(r[r > 0])) if count else 1.0
-        return Keyscan(np.stack([r * cos, r * sin, r]), count, np.inf, reach, pyramid, geometry)
+        return Keyscan(r[None], count, np.inf, float(np.median(r[r > 0])) if count else 1.0, pyramid, g)
 
     def extended(
         self, reference: Scans | None, features: Keyscan, geometry: ScanGeometry, fit: Fit | None
@@ -100,27 +86,10 @@ class SymmetricFlow:
         with_last = self.with_last and last is not key
         pose, covariance, observable, V = np.full(3, np.nan), np.empty((3, 3)), np.ones(3), np.eye(3)
         rows, scale, agree = _symmetric_flow_kernels.fit_scan(
-            key.pyramid,
-            last.pyramid,
-            features.pyramid,
-            reference.pose,
-            reference.covariance,
-            with_last,
-            g.start,
-            g.cos,
-            g.sin,
-            g.increments,
-            key.reach,
-            SETTINGS,
-            g.pose_base_laser,
-            prior.pose,
-            prior.sigma,
-            prior.free,
-            pose,
-            covariance,
-            V,
-            observable,
-        )
+            key.pyramid, last.pyramid, features.pyramid, reference.pose, reference.covariance, with_last,
+            g.start, g.cos, g.sin, g.increments, key.reach, g.pose_base_laser, prior.pose, prior.sigma, prior.free,
+            pose, covariance, V, observable,
+        )  # fmt: skip
         used = rows // 2 if with_last else rows
         inlier_ratio = agree / max(rows, 1) * min(used / max(min(features.count, key.count), 1), 1.0)
         if used < _FEWEST:
@@ -129,14 +98,14 @@ class SymmetricFlow:
             return f"only {100 * inlier_ratio:.0f} % of the beams agree with the keyscan"
         directions = np.zeros((0, 3))
         if not observable.all():
-            directions = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
-            directions = directions @ se2.adjoint(g.pose_base_laser).T
+            of_laser = V.T[observable == 0.0] / np.array([1.0, 1.0, key.reach])
+            directions = of_laser @ se2.adjoint(g.pose_base_laser).T
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return Fit(pose, covariance, 0.5 * covariance, used, scale, inlier_ratio, directions)
 
     def is_far(self, fit: Fit, features: Keyscan, geometry: ScanGeometry, reference: Scans) -> bool:
         """Whether the rotation is too large for the translation, as the method's authors have it."""
-        allowed, furthest = _FAR if features.values.shape[1] >= 500 else _NEAR
+        allowed, furthest = _FAR if geometry.beams >= 500 else _NEAR
         distance = float(np.hypot(fit.pose[0], fit.pose[1]))
         return bool(
             distance > furthest

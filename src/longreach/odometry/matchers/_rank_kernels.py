@@ -16,12 +16,9 @@ def smallest(values, k):
                 j -= 1
             if i <= j:
                 values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
+                i, j = i + 1, j - 1
+        if j < k:
             low = i
-        else:
-            break
+        if k < i:
+            high = j
     return values[k]

@@ -11,7 +11,7 @@ import numpy as np
 
 from longreach.geometry._kernels import se2_exp
 from longreach.kernels import kernel
-from longreach.odometry._rank_kernels import smallest
+from longreach.odometry.matchers._rank_kernels import smallest
 
 FEATURES = 9
 _HALF = 12  # beams on either side that a normal is fitted to, at most
