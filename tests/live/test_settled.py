@@ -83,7 +83,8 @@ def test_a_log_through_the_server_settles_the_rows_of_its_estimate(data, tmp_pat
         for _, _, _, message in bag.messages([(keys.SETTLED.name, keys.SETTLED.type)]):
             stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
             P = np.reshape(message.pose.covariance, (6, 6))[np.ix_([0, 1, 5], [0, 1, 5])]
-            settled[round(stamp, 6)] = np.append(planar_pose(message.pose.pose.position, message.pose.pose.orientation), P)
+            pose = message.pose.pose
+            settled[round(stamp, 6)] = np.append(planar_pose(pose.position, pose.orientation), P)
     fused = unchecked(estimate, log, run.robot).trajectories["fused"]
     rows = zip(fused.clock.tolist(), fused.poses, fused.covariance, strict=True)
     known = [(t, np.append(pose, P)) for t, pose, P in rows if t < played.stamp - 0.7]

@@ -51,7 +51,7 @@ def choose_topics(
     if truth_topic is not None:
         names["truth"] = truth_topic
     chosen: dict[str, Topic] = {}
-    sensed = [topic for topic in bag.topics if topic.name not in (ESTIMATE, SETTLED) and not topic.name.startswith(TOOL)]
+    sensed = [topic for topic in bag.topics if not topic.name.startswith((ESTIMATE, SETTLED, TOOL))]
     for role, name in names.items():
         others = {other for r, other in names.items() if r != role}
         free = [topic for topic in sensed if topic.type in _TYPES[role] and topic.name not in others]

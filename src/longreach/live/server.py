@@ -28,7 +28,8 @@ from longreach.sim.simulated import Truth
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
 _STREAMS = (
-    keys.ESTIMATE, keys.SETTLED, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF, keys.TF_STATIC, keys.PLAN,
+    keys.ESTIMATE, keys.SETTLED, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF,
+    keys.TF_STATIC, keys.PLAN,
 )  # fmt: skip
 
 
