@@ -266,7 +266,7 @@ def _led_to(entries: Iterable[Entry]) -> tuple[list[ScanMatch], list[Event]]:
 def _take(state: LocalizerState, before: Estimates, key: Key, reading: Reading) -> tuple[Estimates, _Taken]:
     """Take one reading: what it measures, and what the filters make of that."""
     _, source = _SOURCES[type(reading)]
-    if before.local is None:
+    if before.local is None and not isinstance(reading, PoseMeasurement):  # which odom is to know nothing of
         before = _started(state, before, key[0])
     return _TAKE[source](state, before, key, reading)
 
@@ -339,13 +339,13 @@ def _imu(state: LocalizerState, before: Estimates, key: Key, imu: Imu) -> tuple[
 
 def _fix(state: LocalizerState, before: Estimates, key: Key, fix: PoseMeasurement) -> tuple[Estimates, _Taken]:
     """Take an absolute pose: it tells where odom is on the map, and then corrects the estimate there alone."""
-    assert before.local is not None
-    global_, said = before.global_, Correction(fix.stamp, fix.source, "used")
+    global_ = before.global_
     if global_ is None:
-        local = predicted(before.settings, before.local, key)
-        fixed = (*before.fixed, Fixed(local.pose[0], fix))
+        local = None if before.local is None else predicted(before.settings, before.local, key)
+        fixed = (*before.fixed, Fixed(state.start if local is None else local.pose[0], fix))
         found = initial_pose.from_fixes(fixed)
-        if found is None:
+        if local is None or found is None:
+            said = Correction(fix.stamp, fix.source, "used")
             return before._replace(fixed=initial_pose.thinned(fixed)), _Taken([said], [fix])
         global_ = initial_pose.on_map(local, *found)
     global_, correction = take(before.settings, global_, key, fix)
