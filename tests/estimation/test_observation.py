@@ -67,8 +67,9 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
     measurement = CASES[name]
     clone = (16,) if isinstance(measurement, RelativePoseMeasurement) else ()
     mean = random_mean(rng)
-    (r, H, R), fault = observe(mean, measurement, *clone)
+    (r, H, R, blocks), fault = observe(mean, measurement, *clone)
     k = ROWS.get(name, 3)
+    np.testing.assert_array_equal(blocks, ([1, 0, 0] if isinstance(measurement, PlanarImu) else [0, 0, 1])[:k])
     assert r.shape == (k,)
     assert H.shape == (k, 19)
     assert R.shape == (k, k)
@@ -104,7 +105,7 @@ def test_a_relative_pose_says_nothing_of_where_all_poses_are_together(rng):
     """Huang, Mourikis & Roumeliotis 2010: else the filter grows certain of a heading that nothing measures."""
     for _ in range(20):
         mean = random_mean(rng)
-        _, H, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 16)[0]
+        _, H, _, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 16)[0]
         np.testing.assert_allclose(H @ together(mean), 0.0, atol=1e-12)
         dx, G = rng.normal(size=19), np.empty((19, 19))
         after = _filter_kernels.retract(mean, dx, G)

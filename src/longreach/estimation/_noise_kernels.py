@@ -1,11 +1,22 @@
-"""Compiled likelihood of an innovation's covariance, and how it changes with factors on parts of it."""
+"""Compiled noise of sources: how likely an innovation makes factors on it, and what of a match's noise is its own.
+
+The noise of a source is a row (7,): the logarithms of two factors, the information about each, and the deviations of
+x, y and θ (see `noise.Noise`).
+"""
 
 import math
 
 import numpy as np
 
 from longreach.estimation._cholesky_kernels import cholesky, solve
+from longreach.geometry._eigen_kernels import symmetric_eigen
+from longreach.geometry._kernels import se2_adjoint, se2_between
 from longreach.kernels import kernel
+
+INFORMATION, DEVIATIONS = 2, 4
+HIGHEST = math.log(25.0)  # what a stated variance may be too small by
+_LOWEST = math.log(0.25)  # and too large by, of wheels
+_OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
 
 @kernel
@@ -46,42 +57,88 @@ def score(S, r, parts, most, slope, information):
 
 
 @kernel
-def parts_of(R, blocks, parts):
-    """Fill parts (2, k, k), the derivatives of D R D over the logarithms of two factors; blocks (k,): whose each is."""
+def add_parts(R, blocks, parts):
+    """Add to parts (2, k, k) the derivatives of D R D over the logarithms of two factors, which `blocks` (k,) names."""
     k = len(R)
     for block in range(2):
         for i in range(k):
             for j in range(k):
-                parts[block, i, j] = 0.5 * ((blocks[i] == block) + (blocks[j] == block)) * R[i, j]
+                parts[block, i, j] += 0.5 * ((blocks[i] == block) + (blocks[j] == block)) * R[i, j]
 
 
 @kernel
-def learn(S, r, own, seen, added, most, memory, lowest, highest, log, information, deviations):
-    """Move log (m, 2) by the score over the information, both gathered; fill deviations (m, 3).
+def step_noise(covariance, noise, pose, Q, parts, A):
+    """Fill Q (3, 3), the covariance of a wheels' step with the factors on it, its parts (2, 3, 3), and Ad(pose⁻¹)."""
+    x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, A)
+    for i in range(3):
+        for j in range(3):
+            Q[i, j] = covariance[i, j] * (noise[DEVIATIONS + i] * noise[DEVIATIONS + j])
+    add_parts(Q, np.array([0, 0, 1]), parts)
 
-    own (2, k, k): parts of S of the first of m noises; added (m - 1, 2, 3, 3): of the others, of which r sees `seen`
-    (k, 3). lowest (m,), highest: bounds of log. Returns whether S is positive definite, else nothing is done.
+
+@kernel
+def learn(S, r, H, R, blocks, coupled, added, memory, is_wheels, noises):
+    """Move the logarithms of noises (m, 7) by the score over the information, both gathered, where S is definite.
+
+    R (k, k): the part of S that is the first noise's, of wheels or not. added (m - 1, 2, 3, 3): parts of the others,
+    which are of the wheels' steps, in the pose as far as it is coupled (3,).
     """
-    k, m = len(r), len(log)
+    k, m = len(r), len(noises)
     parts, slope, new = np.zeros((2 * m, k, k)), np.empty(2 * m), np.empty(2 * m)
-    for block in range(2):
-        for i in range(k):
-            for j in range(k):
-                parts[block, i, j] = own[block, i, j]
+    add_parts(R, blocks, parts)
     for n in range(m - 1):
         for block in range(2):
             for i in range(k):
                 for j in range(k):
                     for a in range(3):
                         for b in range(3):
-                            parts[2 + 2 * n + block, i, j] += seen[i, a] * added[n, block, a, b] * seen[j, b]
-    if not score(S, r, parts, most, slope, new):
-        return False
+                            seen = H[i, a] * coupled[a], H[j, b] * coupled[b]
+                            parts[2 + 2 * n + block, i, j] += seen[0] * added[n, block, a, b] * seen[1]
+    if not score(S, r, parts, _OUTLIER * k, slope, new):
+        return
     for n in range(m):
+        lowest = _LOWEST if n > 0 or is_wheels else 0.0
         for block in range(2):
-            gathered = min(information[n, block] + new[2 * n + block], memory)
-            moved = log[n, block] + slope[2 * n + block] / gathered
-            log[n, block], information[n, block] = max(lowest[n], min(highest, moved)), gathered
-        deviations[n, 0] = deviations[n, 1] = math.exp(0.5 * log[n, 0])
-        deviations[n, 2] = math.exp(0.5 * log[n, 1])
+            gathered = min(noises[n, INFORMATION + block] + new[2 * n + block], memory)
+            moved = noises[n, block] + slope[2 * n + block] / gathered
+            noises[n, block], noises[n, INFORMATION + block] = max(lowest, min(HIGHEST, moved)), gathered
+        noises[n, DEVIATIONS] = noises[n, DEVIATIONS + 1] = math.exp(0.5 * noises[n, 0])
+        noises[n, DEVIATIONS + 2] = math.exp(0.5 * noises[n, 1])
+
+
+@kernel
+def own_part(C, pose, shared, least, out):
+    """Fill out (3, 3) with C - Ad(pose⁻¹) shared Ad(pose⁻¹)ᵀ, but in every direction at least the part `least` of C.
+
+    In the basis where C is the identity both are diagonal: the generalised eigenvalues w of what is taken off become
+    max(1 - w, least). Returns False where C is not positive definite or the pose not finite.
+    """
+    A, L, V = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    if not (cholesky(C, L) and math.isfinite(pose[0] + pose[1] + pose[2])):
+        return False
+    x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
+    se2_adjoint(x, y, t, A)
+    for j in range(3):  # A := L⁻¹ A
+        for i in range(3):
+            for k in range(i):
+                A[i, j] -= L[i, k] * A[k, j]
+            A[i, j] /= L[i, i]
+    W = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for l in range(3):
+                    W[i, j] += A[i, k] * shared[k, l] * A[j, l]
+    symmetric_eigen(W, V)
+    out[:] = 0.0
+    for k in range(3):
+        part = max(1.0 - W[k, k], least)
+        for i in range(3):
+            for j in range(3):
+                a = b = 0.0
+                for l in range(3):
+                    a += L[i, l] * V[l, k]
+                    b += L[j, l] * V[l, k]
+                out[i, j] += part * a * b
     return True

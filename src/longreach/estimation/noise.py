@@ -10,33 +10,41 @@ Innovations show what changes from one to the next. What stays for a while, as a
 do not; so only wheels, whose noise is described for all robots alike, are ever taken for better than stated.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from longreach.estimation import _noise_kernels
 
-_HIGHEST = math.log(25.0)  # what a stated variance may be too small by
-LEAST = 0.25  # and too large by, of wheels
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
-_OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
 
 class Noise(NamedTuple):
-    """Logarithms of the factors on translations and on turns (2,), and the information gathered about them (2,).
+    """Logarithms of the factors on translations and on turns, the information gathered about them, `deviations`."""
 
-    deviations (3,): what the factors make of the standard deviations of x, y and θ.
-    """
+    row: Float[np.ndarray, "7"]
 
-    log: Float[np.ndarray, "2"] = np.zeros(2)
-    information: Float[np.ndarray, "2"] = np.full(2, _FIRST)
-    deviations: Float[np.ndarray, "3"] = np.ones(3)
+    @property
+    def log(self) -> Float[np.ndarray, "2"]:
+        """The logarithms of the factors on the variances of translations and of turns (2,)."""
+        return self.row[:2]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, "3"]:
+        """What the factors make of the standard deviations of x, y and θ (3,)."""
+        return self.row[_noise_kernels.DEVIATIONS :]
 
 
-NOMINAL = Noise()
+def _noise(*parts: np.ndarray) -> Noise:
+    row = np.concatenate(parts)
+    row.flags.writeable = False
+    return Noise(row)
+
+
+_NONE = np.zeros((0, 2, 3, 3))
+NOMINAL = _noise(np.zeros(2), np.full(2, _FIRST), np.ones(3))
 
 
 def process_noise(source: str) -> str:
@@ -46,8 +54,8 @@ def process_noise(source: str) -> str:
 
 def inflated(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
     """Return a noise whose variances are these factors larger, as far as they may, and soon judged anew."""
-    log = np.minimum(noise.log + np.log(factors), _HIGHEST)
-    return Noise(log, np.where(factors > 1.0, _FIRST, noise.information), np.exp(0.5 * log)[[0, 0, 1]])
+    log = np.minimum(noise.log + np.log(factors), _noise_kernels.HIGHEST)
+    return _noise(log, np.where(factors > 1.0, _FIRST, noise.row[2:4]), np.exp(0.5 * log)[[0, 0, 1]])
 
 
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
@@ -55,31 +63,37 @@ def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, "
     return covariance * (deviations[:, None] * deviations)
 
 
-def parts_of(R: Float[np.ndarray, "k k"], blocks: Int[np.ndarray, " k"]) -> Float[np.ndarray, "2 k k"]:
-    """Return the derivatives of D R D over the logarithms of the two factors at R; blocks: 0 translation, 1 turn."""
-    parts = np.empty((2, *R.shape))
-    _noise_kernels.parts_of(R, blocks, parts)
-    return parts
+def after_step(
+    noise: Noise,
+    covariance: Float[np.ndarray, "3 3"],
+    pose: Float[np.ndarray, "3"],
+    added: Float[np.ndarray, "2 3 3"],
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "2 3 3"]]:
+    """Return D R D of a step of the wheels, and what steps have `added` to the covariance of the pose with this one."""
+    Q, parts, A = np.empty((3, 3)), np.zeros((2, 3, 3)), np.empty((3, 3))
+    _noise_kernels.step_noise(covariance, noise.row, pose, Q, parts, A)
+    return Q, A @ added @ A.T + parts
 
 
 def learned(
-    noises: Sequence[Noise],
+    known: Mapping[str, Noise],
+    source: str,
+    steps: Mapping[str, np.ndarray],
+    observation: tuple[np.ndarray, ...],
     S: Float[np.ndarray, "k k"],
-    r: Float[np.ndarray, " k"],
-    own: Float[np.ndarray, "2 k k"],
-    seen: Float[np.ndarray, "k 3"],
-    added: Float[np.ndarray, "c 2 3 3"],
+    coupled: Float[np.ndarray, "3"],
     memory: float,
-    least: Sequence[float],
-) -> list[Noise]:
-    """Return the factors after an innovation r ~ N(0, S); least: the smallest that each may be.
+    is_wheels: bool,
+) -> Mapping[str, Noise]:
+    """Return what is known of noises after a source's innovation r ~ N(0, S), by name.
 
-    own: the `parts_of` S that are the first noise's. added: those of the others, in a pose of which r sees `seen`.
+    steps: by wheels, what their steps have added to the covariance of the pose, as far as that is coupled, where the
+    innovation tells the pose. observation: r, H, R, and of each component whether it is a turn.
     """
-    log, information = np.array([noise.log for noise in noises]), np.array([noise.information for noise in noises])
-    deviations, lowest = np.empty((len(noises), 3)), np.log(least)
-    if not _noise_kernels.learn(
-        S, r, own, seen, added, _OUTLIER * len(r), memory, lowest, _HIGHEST, log, information, deviations
-    ):
-        return list(noises)
-    return [Noise(*rows) for rows in zip(log, information, deviations, strict=True)]
+    r, H, R, blocks = observation
+    names = [source, *map(process_noise, steps)]
+    rows = np.array([known.get(name, NOMINAL).row for name in names])
+    added = np.array([*steps.values()]) if steps else _NONE
+    _noise_kernels.learn(S, r, H, R, blocks, coupled, added, memory, is_wheels, rows)
+    rows.flags.writeable = False
+    return {**known, **dict(zip(names, map(Noise, rows), strict=True))}
