@@ -58,6 +58,13 @@ def carry(mean, P, i, pose, Q, coupled, variance, reach):
 
 
 @kernel
+def as_clone(mean, i, A):
+    """Fill A (3, 3), which makes an error of the base's pose one of the pose clone at i, where both move together."""
+    x, y, t = se2_between(mean[i], mean[i + 1], mean[i + 2], mean[0], mean[1], mean[2])
+    se2_adjoint(x, y, t, A)
+
+
+@kernel
 def chosen(mean, P, rows):
     """Choose these rows of the mean and of P, correlations and all."""
     n = len(rows)

@@ -20,43 +20,6 @@ _OUTLIER = 4.0  # an innovation counts at most this many times what it should be
 
 
 @kernel
-def score(S, r, parts, most, slope, information):
-    """Fill slope (m,) and information (m,) of log N(r; 0, S) over logarithms of factors on the parts (m, k, k) of S.
-
-    An innovation with a NIS above `most` counts as one at it. Returns whether S is positive definite.
-    Source: the score and Fisher information of a normal distribution's covariance, Magnus & Neudecker 1988, 15.3.
-    """
-    k, m = len(r), len(parts)
-    L, x, column = np.empty((k, k)), np.empty(k), np.empty(k)
-    if not cholesky(S, L):
-        return False
-    solve(L, r, x)
-    nis = np.sum(r * x)
-    counted = min(1.0, most / nis) if nis > 0.0 else 1.0
-    inverse_parts = np.empty((m, k, k))
-    for p in range(m):
-        for j in range(k):
-            solve(L, parts[p, :, j].copy(), column)
-            for i in range(k):
-                inverse_parts[p, i, j] = column[i]
-    for p in range(m):
-        total = 0.0
-        for i in range(k):
-            total -= inverse_parts[p, i, i]
-            for j in range(k):
-                total += counted * x[i] * parts[p, i, j] * x[j]
-        slope[p] = 0.5 * total
-        information[p] = 0.0
-        for other in range(m):
-            shared = 0.0
-            for i in range(k):
-                for j in range(k):
-                    shared += inverse_parts[p, i, j] * inverse_parts[other, j, i]
-            information[p] += 0.5 * abs(shared)
-    return True
-
-
-@kernel
 def add_parts(R, blocks, parts):
     """Add to parts (2, k, k) the derivatives of D R D over the logarithms of two factors, which `blocks` (k,) names."""
     k = len(R)
@@ -67,14 +30,16 @@ def add_parts(R, blocks, parts):
 
 
 @kernel
-def step_noise(covariance, noise, pose, Q, parts, A):
-    """Fill Q (3, 3), the covariance of a wheels' step with the factors on it, its parts (2, 3, 3), and Ad(pose⁻¹)."""
+def step_noise(covariance, noise, pose, Q, A, parts):
+    """Fill Q (3, 3), the covariance of a wheels' step with the factors on it, Ad(pose⁻¹), and add Q's parts."""
     x, y, t = se2_between(pose[0], pose[1], pose[2], 0.0, 0.0, 0.0)
     se2_adjoint(x, y, t, A)
     for i in range(3):
         for j in range(3):
             Q[i, j] = covariance[i, j] * (noise[DEVIATIONS + i] * noise[DEVIATIONS + j])
-    add_parts(Q, np.array([0, 0, 1]), parts)
+    blocks = np.zeros(3, dtype=np.int64)
+    blocks[2] = 1
+    add_parts(Q, blocks, parts)
 
 
 @kernel
@@ -82,10 +47,15 @@ def learn(S, r, H, R, blocks, coupled, added, memory, is_wheels, noises):
     """Move the logarithms of noises (m, 7) by the score over the information, both gathered, where S is definite.
 
     R (k, k): the part of S that is the first noise's, of wheels or not. added (m - 1, 2, 3, 3): parts of the others,
-    which are of the wheels' steps, in the pose as far as it is coupled (3,).
+    which are of the wheels' steps, in the pose as far as it is coupled (3,). An innovation with a NIS above _OUTLIER k
+    counts as one at it.
+    Source: the score and Fisher information of a normal distribution's covariance, Magnus & Neudecker 1988, 15.3.
     """
     k, m = len(r), len(noises)
-    parts, slope, new = np.zeros((2 * m, k, k)), np.empty(2 * m), np.empty(2 * m)
+    parts, inverse_parts = np.zeros((2 * m, k, k)), np.empty((2 * m, k, k))
+    L, x, column = np.empty((k, k)), np.empty(k), np.empty(k)
+    if not cholesky(S, L):
+        return
     add_parts(R, blocks, parts)
     for n in range(m - 1):
         for block in range(2):
@@ -95,16 +65,32 @@ def learn(S, r, H, R, blocks, coupled, added, memory, is_wheels, noises):
                         for b in range(3):
                             seen = H[i, a] * coupled[a], H[j, b] * coupled[b]
                             parts[2 + 2 * n + block, i, j] += seen[0] * added[n, block, a, b] * seen[1]
-    if not score(S, r, parts, _OUTLIER * k, slope, new):
-        return
-    for n in range(m):
-        lowest = _LOWEST if n > 0 or is_wheels else 0.0
-        for block in range(2):
-            gathered = min(noises[n, INFORMATION + block] + new[2 * n + block], memory)
-            moved = noises[n, block] + slope[2 * n + block] / gathered
-            noises[n, block], noises[n, INFORMATION + block] = max(lowest, min(HIGHEST, moved)), gathered
-        noises[n, DEVIATIONS] = noises[n, DEVIATIONS + 1] = math.exp(0.5 * noises[n, 0])
-        noises[n, DEVIATIONS + 2] = math.exp(0.5 * noises[n, 1])
+    solve(L, r, x)
+    nis = np.sum(r * x)
+    counted = min(1.0, _OUTLIER * k / nis) if nis > 0.0 else 1.0
+    for p in range(2 * m):
+        for j in range(k):
+            solve(L, parts[p, :, j].copy(), column)
+            for i in range(k):
+                inverse_parts[p, i, j] = column[i]
+    for p in range(2 * m):
+        score, information, noise, block = 0.0, 0.0, noises[p // 2], p % 2
+        for i in range(k):
+            score -= inverse_parts[p, i, i]
+            for j in range(k):
+                score += counted * x[i] * parts[p, i, j] * x[j]
+        for other in range(2 * m):
+            shared = 0.0
+            for i in range(k):
+                for j in range(k):
+                    shared += inverse_parts[p, i, j] * inverse_parts[other, j, i]
+            information += 0.5 * abs(shared)
+        gathered = min(noise[INFORMATION + block] + information, memory)
+        lowest = _LOWEST if p > 1 or is_wheels else 0.0
+        noise[block] = max(lowest, min(HIGHEST, noise[block] + 0.5 * score / gathered))
+        noise[INFORMATION + block] = gathered
+        for axis in range(2 * block, 2 + block):  # x, y or θ
+            noise[DEVIATIONS + axis] = math.exp(0.5 * noise[block])
 
 
 @kernel

@@ -69,7 +69,7 @@ def observe_twist(mean, z, R, noise):
     for i in range(3):
         r[i] = z[i] - mean[3 + i]
         H[i, 3 + i] = 1.0
-    return _measured(r, H, R, noise, 2)
+    return _measured(r, H, R.copy(), noise, 2)
 
 
 @kernel
@@ -101,7 +101,7 @@ def observe_pose(mean, z, R, noise):
             H[i, j] = B[i, j]
             for l in range(3):
                 H[i, g + j] += B[i, l] * A[l, j]
-    return _measured(r, H, R, noise, 2)
+    return _measured(r, H, R.copy(), noise, 2)
 
 
 @kernel
@@ -120,7 +120,7 @@ def observe_relative_pose(mean, z, R, noise, k, at):
         for j in range(k, k + 3):
             H[i, j] = -H[i, j]
     r[0], r[1], r[2] = -e0, -e1, -e2
-    return _measured(r, H, R, noise, 2)
+    return _measured(r, H, R.copy(), noise, 2)
 
 
 @kernel

@@ -38,9 +38,10 @@ def correct(rows, seen, mean, off, r, before, after, stamp, coupled, out):
     dt = stamp - seen
     fade = fading(dt) if 0.0 < dt < math.inf else 0.0
     moved = se2_log(*se2_between(before[0], before[1], before[2], after[0], after[1], after[2]))
-    out[:] = rows
     for i in range(3):
         out[RATE, i], out[LEFT, i], out[LAST, i], out[LAST_BUT_ONE, i] = fade * rows[RATE, i], r[i] - moved[i], 0.0, 0.0
+        for row in (VARIANCE, TOGETHER, ALONE):
+            out[row, i] = rows[row, i]
     if not 0.0 < dt <= _GAP:
         return mean, off
     mean, off = mean + (dt - mean) / _MEMORY, off + (abs(dt - mean) - off) / _MEMORY
@@ -69,17 +70,11 @@ def possible(rows, speed):
 
 
 @kernel
-def _spread(rows, mean, off, t, i):
-    """Variance of the way slipped in t [s] since the slip was seen."""
-    variance = rows[VARIANCE, i] + _lasting(rows, mean, off, i) * min(1.0, 2.0 * t / _LASTS)
-    return variance * t * t / (1.0 + 0.5 * t / _LASTS)
-
-
-@kernel
 def way(rows, seen, mean, off, speed, begin, end, xi, variance):
-    """Fill ξ (3,), that is slipped from one time to another [s], and its variance (3,)."""
-    t0, t1 = max(begin - seen, 0.0), max(end - seen, 0.0)
-    part = possible(rows, speed)
+    """Fill ξ (3,), that is slipped from one time to another [s], and its variance (3,), which grows with time."""
+    t0, t1, part = max(begin - seen, 0.0), max(end - seen, 0.0), possible(rows, speed)
     for i in range(3):
-        xi[i] = _LASTS * (fading(t0) - fading(t1)) * (part * rows[RATE, i])
-        variance[i] = _spread(rows, mean, off, t1, i) - _spread(rows, mean, off, t0, i)
+        xi[i], variance[i] = _LASTS * (fading(t0) - fading(t1)) * (part * rows[RATE, i]), 0.0
+        for sign, t in ((1.0, t1), (-1.0, t0)):
+            rate = rows[VARIANCE, i] + _lasting(rows, mean, off, i) * min(1.0, 2.0 * t / _LASTS)
+            variance[i] += sign * (rate * t * t / (1.0 + 0.5 * t / _LASTS))

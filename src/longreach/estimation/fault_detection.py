@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from longreach.estimation import _cholesky_kernels, ekf
+from longreach.estimation import _cholesky_kernels, _clone_kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.noise import NOMINAL, inflated, process_noise
 from longreach.estimation.observation import Measurement, Observation
@@ -26,6 +26,7 @@ _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match 
 # [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 16 cm, 16°:
 # more, and a burst of wrong matches would carry the estimate off.
 _SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
+_EYE = np.eye(3)
 # Of that and the variance of the steps since another source observed the pose:
 _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
@@ -89,12 +90,12 @@ def moving(now: Snapshot, wheels: str, source: str, at: int) -> np.ndarray:
 
     Where the wheels' own reading tells, the error is their clone's alone.
     """
-    M, eye = np.zeros((len(now.mean), 3)), np.eye(3)
+    M = np.zeros((len(now.mean), 3))
     if wheels != source:
-        M[:3] = M[at : at + 3] = eye
+        M[:3] = M[at : at + 3] = _EYE
     if wheels in now.clones:
         i = now.place(now.clones[wheels].number)
-        M[i : i + 3] = se2.adjoint(se2.between(now.mean[i : i + 3], now.mean[:3]))
+        _clone_kernels.as_clone(now.mean, i, M[i : i + 3])
     return M
 
 

@@ -10,7 +10,6 @@ Innovations show what changes from one to the next. What stays for a while, as a
 do not; so only wheels, whose noise is described for all robots alike, are ever taken for better than stated.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +42,6 @@ def _noise(*parts: np.ndarray) -> Noise:
     return Noise(row)
 
 
-_NONE = np.zeros((0, 2, 3, 3))
 NOMINAL = _noise(np.zeros(2), np.full(2, _FIRST), np.ones(3))
 
 
@@ -61,39 +59,3 @@ def inflated(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """Return D R D."""
     return covariance * (deviations[:, None] * deviations)
-
-
-def after_step(
-    noise: Noise,
-    covariance: Float[np.ndarray, "3 3"],
-    pose: Float[np.ndarray, "3"],
-    added: Float[np.ndarray, "2 3 3"],
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "2 3 3"]]:
-    """Return D R D of a step of the wheels, and what steps have `added` to the covariance of the pose with this one."""
-    Q, parts, A = np.empty((3, 3)), np.zeros((2, 3, 3)), np.empty((3, 3))
-    _noise_kernels.step_noise(covariance, noise.row, pose, Q, parts, A)
-    return Q, A @ added @ A.T + parts
-
-
-def learned(
-    known: Mapping[str, Noise],
-    source: str,
-    steps: Mapping[str, np.ndarray],
-    observation: tuple[np.ndarray, ...],
-    S: Float[np.ndarray, "k k"],
-    coupled: Float[np.ndarray, "3"],
-    memory: float,
-    is_wheels: bool,
-) -> Mapping[str, Noise]:
-    """Return what is known of noises after a source's innovation r ~ N(0, S), by name.
-
-    steps: by wheels, what their steps have added to the covariance of the pose, as far as that is coupled, where the
-    innovation tells the pose. observation: r, H, R, and of each component whether it is a turn.
-    """
-    r, H, R, blocks = observation
-    names = [source, *map(process_noise, steps)]
-    rows = np.array([known.get(name, NOMINAL).row for name in names])
-    added = np.array([*steps.values()]) if steps else _NONE
-    _noise_kernels.learn(S, r, H, R, blocks, coupled, added, memory, is_wheels, rows)
-    rows.flags.writeable = False
-    return {**known, **dict(zip(names, map(Noise, rows), strict=True))}

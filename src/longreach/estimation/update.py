@@ -16,7 +16,7 @@ far, the reference is renewed on the way.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -24,8 +24,8 @@ import numpy as np
 from longreach.estimation import _noise_kernels, ekf, motion
 from longreach.estimation.fault_detection import bias_jumps_found, faults_found, moving, widened
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import NOMINAL, after_step, learned, process_noise, scaled
-from longreach.estimation.observation import Measurement, Relation, observe, observe_relative_pose
+from longreach.estimation.noise import NOMINAL, Noise, process_noise, scaled
+from longreach.estimation.observation import Measurement, Observation, Relation, observe, observe_relative_pose
 from longreach.estimation.slip import corrected, way
 from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
 from longreach.geometry import se2
@@ -41,7 +41,7 @@ _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, 
 _STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
 _NOTHING_ADDED, _NO_MOTION = np.zeros((2, 3, 3)), np.zeros(3)
 _NOTHING_ADDED.flags.writeable = _NO_MOTION.flags.writeable = False
-_NO_TALLY = Tally()
+_NO_TALLY, _NO_STEPS = Tally(), np.zeros((0, 2, 3, 3))
 
 
 def take(
@@ -53,7 +53,7 @@ def take(
         return _corrected(config, now, event)
     if isinstance(event, Keyframe):
         seen, correction, own = _keyframe_seen(config, now, event)
-        return _keyframe_placed(_slip_seen(config, now, seen, correction)[0], event, own), correction
+        return _keyframe_placed(_slip_seen(config, now, seen, correction), event, own), correction
     if isinstance(event, PoseClone):
         return _cloned(now, event), Correction(event.stamp, event.source, "used")
     if not isinstance(event, RelativePoseMeasurement):
@@ -65,7 +65,8 @@ def take(
         after, correction = _corrected(config, now, event, left)
     else:
         now, left = _apart(now, event)
-        after, correction = _slip_seen(config, now, *_corrected(config, now, event, left))
+        after, correction = _corrected(config, now, event, left)
+        after = _slip_seen(config, now, after, correction)
     return _renewed(after), correction
 
 
@@ -109,7 +110,7 @@ def _best_known(now: Snapshot) -> int:
 def _slipped(now: Snapshot, since: float) -> Snapshot:
     """Move the pose, and where wheel odometry says that it is, by what the wheels have slipped since then."""
     xi, variance = way(now.slip, math.hypot(now.mean[3], now.mean[4]), since, now.key[0])
-    error, P, Q = np.zeros(len(now.mean)), now.P, np.diag(variance)
+    error, P, Q = np.zeros(len(now.mean)), now.P, variance * np.eye(3)
     error[:3] = xi
     for wheels in now.steps:
         i = now.place(now.clones[wheels].number)
@@ -118,15 +119,12 @@ def _slipped(now: Snapshot, since: float) -> Snapshot:
     return now._replace(mean=_frozen(motion.retract(now.mean, error)), P=P)
 
 
-def _slip_seen(
-    config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction
-) -> tuple[Snapshot, Correction]:
+def _slip_seen(config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction) -> Snapshot:
     """Learn how the wheels slip from how far the pose was off, and where it was moved to; not beyond the gate."""
     if config.noise_memory == 0.0 or correction.dof < 3 or correction.reason or not before.steps:
-        return after, correction
-    poses, coupled = (before.mean, after.mean), config.wheels.coupled
-    slip = corrected(before.slip, correction.innovation, *poses, correction.stamp, coupled)
-    return after._replace(slip=slip), correction
+        return after
+    stamp, r, coupled = correction.stamp, correction.innovation, config.wheels.coupled
+    return after._replace(slip=corrected(before.slip, r, before.mean, after.mean, stamp, coupled))
 
 
 def _linked(now: Snapshot, M: Callable[[], np.ndarray]) -> Snapshot:
@@ -242,7 +240,8 @@ def _passed_over(now: Snapshot, step: RelativePoseMeasurement) -> tuple[Snapshot
     clone = now.clones[step.source]
     clone = clone._replace(stamp=step.stamp, changed=min(clone.changed, step.stamp_reference))
     now = now._replace(clones={**now.clones, step.source: clone})
-    return _set_aside(now, step, "gated", "the reading of the wheels is the last one once more")
+    reason = "the reading of the wheels is the last one once more"
+    return _set_aside(now, Correction(step.stamp, step.source, "gated", reason))
 
 
 def _carried(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> tuple[Snapshot, Relation]:
@@ -255,19 +254,19 @@ def _carried(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement)
     if R is None or clone is None or clone.stamp != step.stamp_reference or not math.isfinite(sum(step.pose.tolist())):
         return now, Relation(step.stamp_reference, step.pose, step.covariance)
     noise = now.noise.get(process_noise(source), NOMINAL)
-    Q, added = after_step(noise, step.covariance, step.pose, now.steps.get(source, _NOTHING_ADDED))
+    Q, A, parts = np.empty((3, 3)), np.empty((3, 3)), np.zeros((2, 3, 3))
+    _noise_kernels.step_noise(step.covariance, noise.row, step.pose, Q, A, parts)
+    steps = {**now.steps, source: A @ now.steps.get(source, _NOTHING_ADDED) @ A.T + parts}
     mean, P, T = ekf.carry(config.wheels, now.mean, now.P, now.place(clone.number), step.pose, Q)
     clones = {**now.clones, source: Clone(clone.number, step.stamp, clone.own, clone.keyframe)}
-    now = _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps={**now.steps, source: added})
+    now = _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps)
     return now, Relation(step.stamp, _NO_MOTION, R)
 
 
-def _set_aside(
-    now: Snapshot, measurement: Measurement, status: Literal["gated", "refused"], reason: str
-) -> tuple[Snapshot, Correction]:
-    source, tally = measurement.source, now.tallies.get(measurement.source, _NO_TALLY)
-    tallies = {**now.tallies, source: tally._replace(**{status: getattr(tally, status) + 1})}
-    return now._replace(tallies=tallies), Correction(measurement.stamp, source, status, reason)
+def _set_aside(now: Snapshot, said: Correction) -> tuple[Snapshot, Correction]:
+    tally = now.tallies.get(said.source, _NO_TALLY)
+    tally = tally._replace(**{said.status: getattr(tally, said.status) + 1})
+    return now._replace(tallies={**now.tallies, said.source: tally}), said
 
 
 def _corrected(
@@ -279,6 +278,7 @@ def _corrected(
     smoother, which looks back over it, each corrects all.
     """
     source, clone, fix = measurement.source, None, isinstance(measurement, PoseMeasurement)
+    said = Correction(measurement.stamp, source, "refused")
     noise, tally = now.noise.get(source, NOMINAL), now.tallies.get(source, _NO_TALLY)
     if left is None:
         observation, fault = observe(now.mean, measurement, noise=noise)
@@ -286,10 +286,10 @@ def _corrected(
         clone = now.clones.get(source)
         if clone is None or clone.stamp != left.since:
             reason = f"relative to {left.since} s, where {source} has no pose clone"
-            return _set_aside(now, measurement, "refused", reason)
+            return _set_aside(now, said._replace(reason=reason))
         observation, fault = observe_relative_pose(now.mean, left, noise, now.place(clone.number), at)
     if fault:
-        return _set_aside(now, measurement, "refused", fault)
+        return _set_aside(now, said._replace(reason=fault))
     r, H, R, _ = observation
     k, before = len(r), now.P
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
@@ -302,12 +302,11 @@ def _corrected(
     if now.P is not before or (inflate and scale == 0.0):
         mean, P, nis, scale, S = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, gain)
     if nis == math.inf:
-        return _set_aside(now, measurement, "refused", "its innovation has no positive definite covariance")
+        return _set_aside(now, said._replace(reason="its innovation has no positive definite covariance"))
     noises, steps, links = now.noise, now.steps, now.links
     if config.noise_memory > 0.0 and at == 0:  # and of what the wheels' steps add, where another source tells the pose
         seen = steps if (fix or left is not None) and source not in steps else {}
-        coupled, memory = config.wheels.coupled, config.noise_memory
-        noises = learned(noises, source, seen, observation, S, coupled, memory, source in steps)
+        noises = _learned(config, now, source, seen, observation, S)
         steps = dict.fromkeys(steps, _NOTHING_ADDED) if seen else steps
     if links is not None and scale > 0.0:
         links = (*links, Link(*ekf.correction_map(now.mean, now.P, r, H, scale * R)))
@@ -326,3 +325,19 @@ def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Litera
         return "gated", reason, Tally(used, inflated, gated + 1, refused, streak + 1)
     reason = f"{reason}: taken with its covariance times {scale:.3g}"
     return "used", reason, Tally(used + 1, inflated + 1, gated, refused, streak + 1)
+
+
+def _learned(
+    config: FilterConfig,
+    now: Snapshot,
+    source: str,
+    steps: Mapping[str, np.ndarray],
+    observation: Observation,
+    S: np.ndarray,
+) -> Mapping[str, Noise]:
+    """Learn from a source's innovation about its noise, and about that of the steps, where it tells what they added."""
+    (r, H, R, blocks), names = observation, [source, *map(process_noise, steps)]
+    rows = np.array([now.noise.get(name, NOMINAL).row for name in names])
+    added, is_wheels = np.array([*steps.values()]) if steps else _NO_STEPS, source in now.steps
+    _noise_kernels.learn(S, r, H, R, blocks, config.wheels.coupled, added, config.noise_memory, is_wheels, rows)
+    return {**now.noise, **dict(zip(names, map(Noise, _frozen(rows)), strict=True))}
