@@ -7,6 +7,7 @@ from jacobians import assert_is_jacobian
 from longreach.errors import RecordingError
 from longreach.estimation import _kernels as _filter_kernels
 from longreach.estimation import motion
+from longreach.estimation.noise import NOMINAL, inflated
 from longreach.estimation.observation import MODELS, Measurement, PlanarImu, observe, planar_imu
 from longreach.geometry import se2, se3, so3
 from longreach.measurement import Imu, PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -91,6 +92,17 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
     )
     if k == 3:
         np.testing.assert_allclose(H @ at, r - r * (not np.any(at)), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_factors_of_a_sources_noise_are_on_its_covariance(rng, name):
+    measurement, mean = CASES[name], random_mean(rng)
+    clone = (16,) if isinstance(measurement, RelativePoseMeasurement) else ()
+    noise = inflated(NOMINAL, np.array([2.0, 5.0]))  # translations, turns
+    stated, larger = observe(mean, measurement, *clone)[0], observe(mean, measurement, *clone, noise=noise)[0]
+    D = np.diag(np.sqrt([2.0, 5.0])[stated.blocks])
+    np.testing.assert_allclose(larger.R, D @ stated.R @ D, rtol=1e-14)
+    np.testing.assert_array_equal(larger.innovation, stated.innovation)
 
 
 def together(mean):
