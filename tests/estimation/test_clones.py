@@ -77,7 +77,7 @@ def test_wheels_alone_move_the_pose_as_they_say(rng):
 def test_a_clone_is_the_pose_and_carrying_it_back_changes_nothing(rng):
     mean, P = rng.normal(size=16), spd(rng, 16)
     P[10:13] = P[:, 10:13] = mean[10:13] = 0.0
-    mean, P = ekf.clone(mean, P, 16)
+    mean, P = ekf.chosen(mean, P, ekf.cloning(16, 16))
     np.testing.assert_array_equal(mean[16:], mean[:3])
     np.testing.assert_array_equal(P[16:, :], P[:3, :])
     z = np.array([0.5, -0.3, 1.2])

@@ -39,7 +39,7 @@ def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
     for k in range(10_000):
         mean, P = ekf.predict(MODEL, mean, P, float(10.0 ** rng.uniform(-4, 0.3)))
         if k == 100:
-            mean, P = ekf.clone(mean, P, 16)
+            mean, P = ekf.chosen(mean, P, ekf.cloning(16, 16))
             placed = k
         kind = k % 4 if placed >= 0 else k % 3
         R3 = spd(rng, 3, 10.0 ** rng.uniform(-4, 0))
@@ -49,9 +49,9 @@ def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
             PlanarImu(0.0, 0.1, rng.normal(size=2) * 0.1, np.array([0.2, -0.3]), 1e-4, R3[:2, :2]),
             RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if placed >= 0 else np.zeros(3), R3),
         )[kind]
-        (r, H, R), fault = observe(mean, measurement, *((16,) if kind == 3 else ()))
+        (r, H, R, _), fault = observe(mean, measurement, *((16,) if kind == 3 else ()))
         assert not fault
-        mean, P, nis, scale = ekf.correct(mean, P, r, H, R, gain=("all", "local", "fix")[k % 7 % 3])
+        mean, P, nis, scale, _ = ekf.correct(mean, P, r, H, R, gain=("all", "local", "fix")[k % 7 % 3])
         assert np.isfinite(nis)
         assert scale == 1.0
         if k % 10 == 0 or 100 <= k < 110:
@@ -199,7 +199,7 @@ def test_a_pose_that_nothing_was_known_of_is_as_measured(turn):
     P = block_diag(np.diag([1e4] * 13), np.zeros((3, 3)))
     R = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 3e-4, 5e-5], [2e-5, 5e-5, 1e-4]])
     mean, z = np.zeros(16), np.array([3.0, -1.0, turn])
-    (r, H, R_z), _ = observe(mean, PoseMeasurement(0.0, z, R))
+    (r, H, R_z, _), _ = observe(mean, PoseMeasurement(0.0, z, R))
     absolute = ekf.correct(mean, P, r, H, R_z)
     np.testing.assert_allclose(absolute.mean[:3], z, atol=1e-6)
     B = block_diag([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], 1.0)
@@ -207,7 +207,7 @@ def test_a_pose_that_nothing_was_known_of_is_as_measured(turn):
     # relative to an exact clone, the covariance is in the frame of the pose measured
     mean, P = np.zeros(19), block_diag(P, np.zeros((3, 3)))
     mean[16:] = [-1.0, 2.0, 0.5]
-    (r, H, R_z), _ = observe(mean, RelativePoseMeasurement(0.0, 0.0, z, R), 16)
+    (r, H, R_z, _), _ = observe(mean, RelativePoseMeasurement(0.0, 0.0, z, R), 16)
     relative = ekf.correct(mean, P, r, H, R_z)
     np.testing.assert_allclose(se2.difference(se2.compose(mean[16:], z), relative.mean[:3]), 0.0, atol=1e-6)
     np.testing.assert_allclose(relative.covariance[:3, :3], R, atol=1e-9)

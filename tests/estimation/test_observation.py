@@ -7,6 +7,7 @@ from jacobians import assert_is_jacobian
 from longreach.errors import RecordingError
 from longreach.estimation import _kernels as _filter_kernels
 from longreach.estimation import motion
+from longreach.estimation.noise import NOMINAL, inflated
 from longreach.estimation.observation import MODELS, Measurement, PlanarImu, observe, planar_imu
 from longreach.geometry import se2, se3, so3
 from longreach.measurement import Imu, PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
@@ -67,8 +68,9 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
     measurement = CASES[name]
     clone = (16,) if isinstance(measurement, RelativePoseMeasurement) else ()
     mean = random_mean(rng)
-    (r, H, R), fault = observe(mean, measurement, *clone)
+    (r, H, R, blocks), fault = observe(mean, measurement, *clone)
     k = ROWS.get(name, 3)
+    np.testing.assert_array_equal(blocks, ([1, 0, 0] if isinstance(measurement, PlanarImu) else [0, 0, 1])[:k])
     assert r.shape == (k,)
     assert H.shape == (k, 19)
     assert R.shape == (k, k)
@@ -92,6 +94,17 @@ def test_the_observation_jacobian_is_its_derivative(rng, name):
         np.testing.assert_allclose(H @ at, r - r * (not np.any(at)), atol=1e-9)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_the_factors_of_a_sources_noise_are_on_its_covariance(rng, name):
+    measurement, mean = CASES[name], random_mean(rng)
+    clone = (16,) if isinstance(measurement, RelativePoseMeasurement) else ()
+    noise = inflated(NOMINAL, np.array([2.0, 5.0]))  # translations, turns
+    stated, larger = observe(mean, measurement, *clone)[0], observe(mean, measurement, *clone, noise=noise)[0]
+    D = np.diag(np.sqrt([2.0, 5.0])[stated.blocks])
+    np.testing.assert_allclose(larger.R, D @ stated.R @ D, rtol=1e-14)
+    np.testing.assert_array_equal(larger.innovation, stated.innovation)
+
+
 def together(mean):
     """How the errors of all poses change (n, 3) as the world moves under them, which no relative pose can tell."""
     out = np.zeros((len(mean), 3))
@@ -104,7 +117,7 @@ def test_a_relative_pose_says_nothing_of_where_all_poses_are_together(rng):
     """Huang, Mourikis & Roumeliotis 2010: else the filter grows certain of a heading that nothing measures."""
     for _ in range(20):
         mean = random_mean(rng)
-        _, H, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 16)[0]
+        _, H, _, _ = observe(mean, RelativePoseMeasurement(0.5, 1.0, rng.normal(size=3), R3), 16)[0]
         np.testing.assert_allclose(H @ together(mean), 0.0, atol=1e-12)
         dx, G = rng.normal(size=19), np.empty((19, 19))
         after = _filter_kernels.retract(mean, dx, G)

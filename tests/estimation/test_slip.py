@@ -25,7 +25,7 @@ def told(rng, rate, count=400, led=ALL, jitter=0.0):
         way_off = way_off + (rate - slip.rate) * dt
         r = way_off + NOISE * rng.normal(size=3)
         way_off = way_off - r  # what is left is the noise that was taken
-        slip = corrected(slip, r, r, stamp, led)
+        slip = corrected(slip, r, np.zeros(3), se2.exp(r), stamp, led)
     return slip
 
 
@@ -55,7 +55,7 @@ def test_stamps_of_a_logger_tell_no_rates(rng):
 
 def test_what_has_not_been_told_for_long_is_forgotten(rng):
     slip = told(rng, np.array([0.2, 0.0, 0.0]))
-    later = corrected(slip, np.zeros(3), np.zeros(3), slip.seen + 3.0, ALL)
+    later = corrected(slip, np.zeros(3), np.zeros(3), np.zeros(3), slip.seen + 3.0, ALL)
     assert 0.0 < later.rate[0] < 0.06 * slip.rate[0]
 
 

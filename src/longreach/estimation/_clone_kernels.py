@@ -58,17 +58,21 @@ def carry(mean, P, i, pose, Q, coupled, variance, reach):
 
 
 @kernel
-def clone(mean, P, i):
-    """Make the pose at i (at the end: a new one) a copy of the base's pose, correlations and all."""
-    n = max(len(mean), i + 3)
-    source = np.arange(n)
-    for a in range(3):
-        source[i + a] = a
+def as_clone(mean, i, A):
+    """Fill A (3, 3), which makes an error of the base's pose one of the pose clone at i, where both move together."""
+    x, y, t = se2_between(mean[i], mean[i + 1], mean[i + 2], mean[0], mean[1], mean[2])
+    se2_adjoint(x, y, t, A)
+
+
+@kernel
+def chosen(mean, P, rows):
+    """Choose these rows of the mean and of P, correlations and all."""
+    n = len(rows)
     new, covariance = np.empty(n), np.empty((n, n))
     for a in range(n):
-        new[a] = mean[source[a]]
+        new[a] = mean[rows[a]]
         for b in range(n):
-            covariance[a, b] = P[source[a], source[b]]
+            covariance[a, b] = P[rows[a], rows[b]]
     return new, covariance
 
 

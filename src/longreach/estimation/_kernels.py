@@ -204,12 +204,6 @@ def _innovation_parts(P, H):
 
 
 @kernel
-def innovation_covariance(P, H, R):
-    """H P Hᵀ + R."""
-    return _innovation_parts(P, H)[1] + R
-
-
-@kernel
 def _joseph(P, K, H, R, scale):
     """(I - K H) P (I - K H)ᵀ + K (scale R) Kᵀ."""
     n, k = K.shape
@@ -253,7 +247,7 @@ def _restrict(mean, K, gain):
 
 @kernel
 def correct(mean, P, r, H, R, gate, inflate, gain):
-    """Take one innovation r (k,): the new mean, the new P, NIS and the scale put on R (0: not taken).
+    """Take one innovation r (k,): the new mean, the new P, NIS, the scale put on R (0: not taken) and S = H P Hᵀ + R.
 
     gain: what is corrected, 0: all, 1 and 2: see `_restrict`; the rest is considered in P (Schmidt).
     NIS is infinite where its covariance is not positive definite or the result would not be finite.
@@ -261,15 +255,15 @@ def correct(mean, P, r, H, R, gate, inflate, gain):
     """
     n, k = len(mean), len(r)
     PHt, A = _innovation_parts(P, H)
-    L, x = np.zeros((k, k)), np.empty(k)
-    if not cholesky(A + R, L):
-        return mean.copy(), P.copy(), np.inf, 0.0
+    S, L, x = A + R, np.zeros((k, k)), np.empty(k)
+    if not cholesky(S, L):
+        return mean.copy(), P.copy(), np.inf, 0.0, S
     solve(L, r, x)
     nis, scale = np.sum(r * x), 1.0
     if nis > gate:
         scale = _inflation(A, R, r, gate, L) if inflate else 0.0
         if scale == 0.0:
-            return mean.copy(), P.copy(), nis, 0.0
+            return mean.copy(), P.copy(), nis, 0.0, S
     K, G, dx = np.empty((n, k)), np.empty((n, n)), np.zeros(n)
     for i in range(n):  # (3.29c)
         solve(L, PHt[i], K[i])
@@ -280,5 +274,5 @@ def correct(mean, P, r, H, R, gate, inflate, gain):
     moved = retract(mean, dx, G)  # (3.29a)
     new = congruence(G, _joseph(P, K, H, R, scale))  # (3.29b)
     if not _is_finite(moved, new):
-        return mean.copy(), P.copy(), np.inf, 0.0
-    return moved, new, nis, scale
+        return mean.copy(), P.copy(), np.inf, 0.0, S
+    return moved, new, nis, scale, S

@@ -35,7 +35,7 @@ Covariance = Float[np.ndarray, "n n"]
 
 
 class Corrected(NamedTuple):
-    """New mean and covariance, NIS = rᵀ S⁻¹ r with the R given, and the factor that was put on R (0: not taken).
+    """New mean and covariance, NIS = rᵀ S⁻¹ r with the R given, the factor that was put on R (0: not taken), and S.
 
     NIS is infinite where S is not positive definite or the result would not be finite.
     """
@@ -44,6 +44,7 @@ class Corrected(NamedTuple):
     covariance: np.ndarray
     nis: float
     scale: float
+    S: np.ndarray
 
 
 def _read_only(mean: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,17 +55,8 @@ def _read_only(mean: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def predict(model: MotionModel, mean: Mean, P: Covariance, dt: float) -> tuple[Mean, Covariance]:
     """Predict dt ≥ 0 [s] ahead, (3.28)."""
-    return _read_only(
-        *_kernels.predict(
-            mean,
-            P,
-            dt,
-            model.time_constant,
-            model.acceleration_variance,
-            model.bias_walk,
-            model.stamp_deviation**2,
-        )
-    )
+    tau, variances, walk = model.time_constant, model.acceleration_variance, model.bias_walk
+    return _read_only(*_kernels.predict(mean, P, dt, tau, variances, walk, model.stamp_deviation**2))
 
 
 def correct(
@@ -83,29 +75,18 @@ def correct(
     move is bounded: the treatment of a heavy tail. gain: what is corrected, the rest is considered
     (Schmidt): "local", all but the pose of the reference; "fix", that pose and the biases of gyro and wheels.
     """
-    new, covariance, nis, scale = _kernels.correct(mean, P, innovation, H, R, gate, inflate, _GAINS[gain])
-    return Corrected(*_read_only(new, covariance), nis, scale)
-
-
-def innovation_covariance(
-    P: Covariance, H: Float[np.ndarray, "k n"], R: Float[np.ndarray, "k k"]
-) -> Float[np.ndarray, "k k"]:
-    """Return S = H P Hᵀ + R."""
-    return _kernels.innovation_covariance(P, H, R)
-
-
-def clone(mean: Mean, P: Covariance, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make the pose at i a clone of the base's, in place of what it held; at the end of the mean it adds one."""
-    return _read_only(*_clone_kernels.clone(mean, P, i))
+    corrected = Corrected(*_kernels.correct(mean, P, innovation, H, R, gate, inflate, _GAINS[gain]))
+    _read_only(corrected.mean, corrected.covariance)
+    return corrected
 
 
 def chosen(mean: Mean, P: Covariance, rows: Int[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and P of these rows, which may repeat: errors after are np.eye(n)[rows] times those before."""
-    return _read_only(mean[rows], P[np.ix_(rows, rows)])
+    return _read_only(*_clone_kernels.chosen(mean, P, rows))
 
 
 def cloning(n: int, i: int) -> Int[np.ndarray, " m"]:
-    """Return the rows, before, of what `clone` makes."""
+    """Return the rows that make the pose at i a clone of the base's; at the end of n rows it adds one."""
     rows = np.arange(max(n, i + 3))
     rows[i : i + 3] = np.arange(3)
     return rows

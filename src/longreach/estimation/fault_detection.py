@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from longreach.estimation import _cholesky_kernels, ekf
+from longreach.estimation import _cholesky_kernels, _clone_kernels, ekf
 from longreach.estimation.filter_config import FilterConfig
 from longreach.estimation.noise import NOMINAL, inflated, process_noise
 from longreach.estimation.observation import Measurement, Observation
@@ -26,15 +26,9 @@ _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match 
 # [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 16 cm, 16°:
 # more, and a burst of wrong matches would carry the estimate off.
 _SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
-_SLIPS = (
-    1.0,
-    3.0,
-    10.0,
-    30.0,
-    100.0,
-    300.0,
-    1000.0,
-)  # of that and the variance of the steps since another source observed the pose
+_EYE = np.eye(3)
+# Of that and the variance of the steps since another source observed the pose:
+_SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
 
 def faults_found(
@@ -42,7 +36,7 @@ def faults_found(
     now: Snapshot,
     measurement: Measurement,
     observation: Observation,
-    S: np.ndarray,
+    judged: ekf.Corrected,
     gate: float,
     at: int,
 ) -> Snapshot:
@@ -52,13 +46,9 @@ def faults_found(
     do, and a source says again and again that the pose is off by the same, then the source is right: against a fix the
     reference was laid wrong, else the base has been moved, or the source is wrong in a way that lasts, which nothing
     tells apart; so the reference may be off by as much from now on.
-    S (k, k): of the innovation.
     """
-    (r, H, _), source = observation, measurement.source
-    if not (
-        isinstance(measurement, PoseMeasurement | RelativePoseMeasurement)
-        and _cholesky_kernels.squared_norm(S, r) > gate
-    ):
+    (r, H, _, _), S, source = observation, judged.S, measurement.source
+    if not (isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and gate < judged.nis < math.inf):
         return now._replace(streaks=_without(now.streaks, source)) if source in now.streaks else now
     if source in now.steps and now.tallies.keys() <= now.steps.keys():
         return now  # nobody else can tell
@@ -100,12 +90,12 @@ def moving(now: Snapshot, wheels: str, source: str, at: int) -> np.ndarray:
 
     Where the wheels' own reading tells, the error is their clone's alone.
     """
-    M, eye = np.zeros((len(now.mean), 3)), np.eye(3)
+    M = np.zeros((len(now.mean), 3))
     if wheels != source:
-        M[:3] = M[at : at + 3] = eye
+        M[:3] = M[at : at + 3] = _EYE
     if wheels in now.clones:
         i = now.place(now.clones[wheels].number)
-        M[i : i + 3] = se2.adjoint(se2.between(now.mean[i : i + 3], now.mean[:3]))
+        _clone_kernels.as_clone(now.mean, i, M[i : i + 3])
     return M
 
 

@@ -10,33 +10,39 @@ Innovations show what changes from one to the next. What stays for a while, as a
 do not; so only wheels, whose noise is described for all robots alike, are ever taken for better than stated.
 """
 
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from longreach.estimation import _noise_kernels
 
-_HIGHEST = math.log(25.0)  # what a stated variance may be too small by
-LEAST = 0.25  # and too large by, of wheels
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
-_OUTLIER = 4.0  # an innovation counts at most this many times what it should be on average
 
 
 class Noise(NamedTuple):
-    """Logarithms of the factors on translations and on turns (2,), and the information gathered about them (2,).
+    """Logarithms of the factors on translations and on turns, the information gathered about them, `deviations`."""
 
-    deviations (3,): what the factors make of the standard deviations of x, y and θ.
-    """
+    row: Float[np.ndarray, "7"]
 
-    log: Float[np.ndarray, "2"] = np.zeros(2)
-    information: Float[np.ndarray, "2"] = np.full(2, _FIRST)
-    deviations: Float[np.ndarray, "3"] = np.ones(3)
+    @property
+    def log(self) -> Float[np.ndarray, "2"]:
+        """The logarithms of the factors on the variances of translations and of turns (2,)."""
+        return self.row[:2]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, "3"]:
+        """What the factors make of the standard deviations of x, y and θ (3,)."""
+        return self.row[_noise_kernels.DEVIATIONS :]
 
 
-NOMINAL = Noise()
+def _noise(*parts: np.ndarray) -> Noise:
+    row = np.concatenate(parts)
+    row.flags.writeable = False
+    return Noise(row)
+
+
+NOMINAL = _noise(np.zeros(2), np.full(2, _FIRST), np.ones(3))
 
 
 def process_noise(source: str) -> str:
@@ -46,40 +52,10 @@ def process_noise(source: str) -> str:
 
 def inflated(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
     """Return a noise whose variances are these factors larger, as far as they may, and soon judged anew."""
-    log = np.minimum(noise.log + np.log(factors), _HIGHEST)
-    return Noise(log, np.where(factors > 1.0, _FIRST, noise.information), np.exp(0.5 * log)[[0, 0, 1]])
+    log = np.minimum(noise.log + np.log(factors), _noise_kernels.HIGHEST)
+    return _noise(log, np.where(factors > 1.0, _FIRST, noise.row[2:4]), np.exp(0.5 * log)[[0, 0, 1]])
 
 
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """Return D R D."""
     return covariance * (deviations[:, None] * deviations)
-
-
-def parts_of(R: Float[np.ndarray, "k k"], blocks: Int[np.ndarray, " k"]) -> Float[np.ndarray, "2 k k"]:
-    """Return the derivatives of D R D over the logarithms of the two factors at R; blocks: 0 translation, 1 turn."""
-    parts = np.empty((2, *R.shape))
-    _noise_kernels.parts_of(R, blocks, parts)
-    return parts
-
-
-def learned(
-    noises: Sequence[Noise],
-    S: Float[np.ndarray, "k k"],
-    r: Float[np.ndarray, " k"],
-    own: Float[np.ndarray, "2 k k"],
-    seen: Float[np.ndarray, "k 3"],
-    added: Float[np.ndarray, "c 2 3 3"],
-    memory: float,
-    least: Sequence[float],
-) -> list[Noise]:
-    """Return the factors after an innovation r ~ N(0, S); least: the smallest that each may be.
-
-    own: the `parts_of` S that are the first noise's. added: those of the others, in a pose of which r sees `seen`.
-    """
-    log, information = np.array([noise.log for noise in noises]), np.array([noise.information for noise in noises])
-    deviations, lowest = np.empty((len(noises), 3)), np.log(least)
-    if not _noise_kernels.learn(
-        S, r, own, seen, added, _OUTLIER * len(r), memory, lowest, _HIGHEST, log, information, deviations
-    ):
-        return list(noises)
-    return [Noise(*rows) for rows in zip(log, information, deviations, strict=True)]

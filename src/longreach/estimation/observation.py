@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from longreach.errors import RecordingError
 from longreach.estimation import _observation_kernels as _kernels
+from longreach.estimation.noise import NOMINAL, Noise
 from longreach.measurement import (
     Imu,
     PoseMeasurement,
@@ -54,11 +55,23 @@ Measurement = TwistMeasurement | PoseMeasurement | RelativePoseMeasurement | Pla
 
 
 class Observation(NamedTuple):
-    """Innovation (k,), H (k, n) and R (k, k) of the k components that were measured: innovation = H · error + noise."""
+    """Innovation (k,), H (k, n) and R (k, k) of the k components that were measured: innovation = H · error + noise.
+
+    blocks (k,): of each component whether it is a translation (0) or a turn (1).
+    """
 
     innovation: np.ndarray
     H: np.ndarray
     R: np.ndarray
+    blocks: np.ndarray
+
+
+class Relation(NamedTuple):
+    """A relative pose with what was not yet taken of it: the stamp that it refers to, pose (3,), covariance (3, 3)."""
+
+    since: float
+    pose: np.ndarray
+    covariance: np.ndarray
 
 
 def planar_imu(
@@ -86,27 +99,28 @@ def planar_imu(
     )
 
 
-def _copy(array: np.ndarray) -> np.ndarray:
-    """The kernels write into what they get, and want rows first."""
-    return np.array(array, order="C")
+def _said(r: np.ndarray, H: np.ndarray, R: np.ndarray, blocks: np.ndarray, fault: int) -> tuple[Observation, str]:
+    return Observation(r, H, R, blocks), _FAULTS[fault]
 
 
-def observe_twist(mean: Mean, measurement: TwistMeasurement) -> Observation:
+def observe_twist(mean: Mean, measurement: TwistMeasurement, noise: Noise) -> tuple[Observation, str]:
     """z = v, the body twist."""
-    return Observation(*_kernels.observe_twist(mean, _copy(measurement.twist), _copy(measurement.covariance)))
+    return _said(*_kernels.observe_twist(mean, measurement.twist, measurement.covariance, noise.row))
 
 
-def observe_pose(mean: Mean, measurement: PoseMeasurement) -> Observation:
+def observe_pose(mean: Mean, measurement: PoseMeasurement, noise: Noise) -> tuple[Observation, str]:
     """z = G X, its error n in the world's axes: H = blkdiag(R(θ), 1) on the error Ad(X⁻¹) γ + ξ of G X.
 
     G is the reference's pose. With d = log((G X)⁻¹ · z) known, that is with all three measured, ours is
     R(θ_z) d = R(θ_z) Ad(exp(-d)) (Ad(X⁻¹) γ + ξ) + n: linearised at the measurement, with the error seen from there, so
     that a first fix after a holiday lands on the pose measured however far that is.
     """
-    return Observation(*_kernels.observe_pose(mean, _copy(measurement.pose), _copy(measurement.covariance)))
+    return _said(*_kernels.observe_pose(mean, measurement.pose, measurement.covariance, noise.row))
 
 
-def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, clone: int, at: int = 0) -> Observation:
+def observe_relative_pose(
+    mean: Mean, measurement: RelativePoseMeasurement | Relation, noise: Noise, clone: int, at: int = 0
+) -> tuple[Observation, str]:
     """z = K⁻¹ · X · exp(-n): innovation -e with e = log(z⁻¹ · K⁻¹ · X); K, X are the poses at `clone` and `at`.
 
     H = Ad(exp(e)) on the error of X and -Ad(z⁻¹) on that of K: the derivatives of e at X · exp(-e), where it is 0, with
@@ -116,25 +130,24 @@ def observe_relative_pose(mean: Mean, measurement: RelativePoseMeasurement, clon
     Source: Huang, Mourikis & Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
     estimators".
     """
-    return Observation(
-        *_kernels.observe_relative_pose(mean, _copy(measurement.pose), _copy(measurement.covariance), clone, at)
-    )
+    return _said(*_kernels.observe_relative_pose(mean, measurement.pose, measurement.covariance, noise.row, clone, at))
 
 
-def observe_imu(mean: Mean, measurement: PlanarImu) -> Observation:
+def observe_imu(mean: Mean, measurement: PlanarImu, noise: Noise) -> tuple[Observation, str]:
     """Rate ω + bias, and the acceleration v̇ + ω×v + ω̇×p + ω×(ω×p) of the IMU's place p, v̇ and ω̇ from the state.
 
     Taking ω̇ from the state makes it a quantity of the filter's own, whatever the rate of the messages.
     """
-    z, R = np.zeros(3), np.diag([measurement.rate_variance, np.inf, np.inf])
-    z[0] = measurement.rate
-    if measurement.acceleration is not None:
-        z[1:], R[1:, 1:] = measurement.acceleration, measurement.acceleration_covariance
-    px, py = measurement.position.tolist()
-    return Observation(*_kernels.observe_imu(mean, z, R, px, py))
+    rate, variance, p = float(measurement.rate), float(measurement.rate_variance), measurement.position
+    a, covariance = measurement.acceleration, measurement.acceleration_covariance
+    if a is None or covariance is None:
+        a, covariance = _NOT_MEASURED
+    return _said(*_kernels.observe_imu(mean, rate, variance, a, covariance, p, noise.row))
 
 
-MODELS: Mapping[type, Callable[..., Observation]] = {
+_NOT_MEASURED = frozen_array(np.zeros(2), (2,), "z"), frozen_array(np.diag([math.inf] * 2), (2, 2), "R")
+
+MODELS: Mapping[type, Callable[..., tuple[Observation, str]]] = {
     TwistMeasurement: observe_twist,
     PoseMeasurement: observe_pose,
     RelativePoseMeasurement: observe_relative_pose,
@@ -149,26 +162,10 @@ _FAULTS = (
 )
 
 
-_BLOCKS_OF_POSE, _BLOCKS_OF_IMU = np.array([0, 0, 1]), np.array([1, 0, 0])
-
-
-def blocks_of(measurement: Measurement) -> Int[np.ndarray, " k"]:
-    """Tell of each measured component whether it is a translation (0) or a turn (1)."""
-    if isinstance(measurement, PlanarImu):
-        if measurement.acceleration_covariance is None:
-            return _BLOCKS_OF_IMU[:1] if measurement.rate_variance != math.inf else _BLOCKS_OF_IMU[:0]
-        C, blocks, first = measurement.acceleration_covariance, _BLOCKS_OF_IMU, measurement.rate_variance
-        infinite = [first == math.inf, C[0, 0] == math.inf, C[1, 1] == math.inf]
-    else:
-        C, blocks = measurement.covariance, _BLOCKS_OF_POSE
-        infinite = [C[0, 0] == math.inf, C[1, 1] == math.inf, C[2, 2] == math.inf]
-    return blocks[~np.array(infinite)] if any(infinite) else blocks
-
-
-def observe(mean: Mean, measurement: Any, *indices: int) -> tuple[Observation, str]:
+def observe(mean: Mean, measurement: Any, *indices: int, noise: Noise = NOMINAL) -> tuple[Observation, str]:
     """Return the observation, and why it must not be used ("" where it may be).
 
     indices: in the mean, of the clone that a relative pose is seen from, and of the pose that it tells, 0 the present.
+    noise: what is known of its source's.
     """
-    observation = MODELS[type(measurement)](mean, measurement, *indices)
-    return observation, _FAULTS[_kernels.fault(observation.innovation, observation.R)]
+    return MODELS[type(measurement)](mean, measurement, noise, *indices)

@@ -16,17 +16,16 @@ far, the reference is renewed on the way.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
 
-from longreach.estimation import _own_kernels, ekf, motion
+from longreach.estimation import _noise_kernels, ekf, motion
 from longreach.estimation.fault_detection import bias_jumps_found, faults_found, moving, widened
 from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import LEAST, NOMINAL, learned, parts_of, process_noise, scaled
-from longreach.estimation.observation import Measurement, Observation, blocks_of, observe
+from longreach.estimation.noise import NOMINAL, Noise, process_noise, scaled
+from longreach.estimation.observation import Measurement, Observation, Relation, observe, observe_relative_pose
 from longreach.estimation.slip import corrected, way
 from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
 from longreach.geometry import se2
@@ -40,21 +39,21 @@ _SAME = 0.97
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
-_ROWS = np.array([0, 0, 1])  # translations and turn
-_NOTHING_ADDED = np.zeros((2, 3, 3))
+_NOTHING_ADDED, _NO_MOTION = np.zeros((2, 3, 3)), np.zeros(3)
+_NOTHING_ADDED.flags.writeable = _NO_MOTION.flags.writeable = False
+_NO_TALLY, _NO_STEPS = Tally(), np.zeros((0, 2, 3, 3))
 
 
 def take(
     config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event
 ) -> tuple[Snapshot, Correction]:
     """Predict to the event's stamp, then place the pose clone or correct by the measurement."""
-    links = None if before.links is None else ()
-    now = predicted(config, before._replace(links=links), key)._replace(event=event)
+    now = _at(config, before if before.links is None else before._replace(links=()), key, event)
     if isinstance(event, PoseMeasurement):
         return _corrected(config, now, event)
     if isinstance(event, Keyframe):
         seen, correction, own = _keyframe_seen(config, now, event)
-        return _keyframe_placed(_slip_seen(config, now, seen, correction)[0], event, own), correction
+        return _keyframe_placed(_slip_seen(config, now, seen, correction), event, own), correction
     if isinstance(event, PoseClone):
         return _cloned(now, event), Correction(event.stamp, event.source, "used")
     if not isinstance(event, RelativePoseMeasurement):
@@ -62,20 +61,28 @@ def take(
     elif event.reading_covariance is not None:
         if _is_stale(config, now, event):
             return _passed_over(now, event)
-        after, correction = _corrected(config, *_carried(config, now, event))
+        now, left = _carried(config, now, event)
+        after, correction = _corrected(config, now, event, left)
     else:
-        now, event = _apart(now, event)
-        after, correction = _slip_seen(config, now, *_corrected(config, now, event))
+        now, left = _apart(now, event)
+        after, correction = _corrected(config, now, event, left)
+        after = _slip_seen(config, now, after, correction)
     return _renewed(after), correction
 
 
 def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str]) -> Snapshot:
     """Predict to a time, with what the wheels slip until then. (3.28)"""
-    now, dt = before._replace(key=key), float(key[0] - before.key[0])
-    if dt > 0.0:
-        mean, P = ekf.predict(config.motion, now.mean, now.P, dt)
-        now = _linked(now, lambda: motion.transition(config.motion, now.mean, dt)[1])._replace(mean=mean, P=P)
-    return _slipped(now, before.key[0]) if dt > 0.0 and now.slip.variance.any() else now
+    return _at(config, before, key, before.event)
+
+
+def _at(config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event | None) -> Snapshot:
+    dt = float(key[0] - before.key[0])
+    if not dt > 0.0:
+        return before._replace(key=key, event=event)
+    mean, P = ekf.predict(config.motion, before.mean, before.P, dt)
+    now = _linked(before, lambda: motion.transition(config.motion, before.mean, dt)[1])
+    now = now._replace(key=key, event=event, mean=mean, P=P)
+    return _slipped(now, before.key[0]) if now.slip.slips else now
 
 
 def _rebased(now: Snapshot, i: int) -> Snapshot:
@@ -86,9 +93,8 @@ def _rebased(now: Snapshot, i: int) -> Snapshot:
 
 def _renewed(now: Snapshot) -> Snapshot:
     """Make the best known pose the reference, where the last one is far."""
-    x, y, turn = now.mean[:3]
-    far = _LOST if any(clone.keyframe for clone in now.clones.values()) else _FAR
-    if math.hypot(x, y) < far and abs(turn) < far:
+    off = max(math.hypot(now.mean[0], now.mean[1]), abs(now.mean[2]))
+    if off < _FAR or (off < _LOST and any(clone.keyframe for clone in now.clones.values())):
         return now
     return _rebased(now, _best_known(now))
 
@@ -104,25 +110,21 @@ def _best_known(now: Snapshot) -> int:
 def _slipped(now: Snapshot, since: float) -> Snapshot:
     """Move the pose, and where wheel odometry says that it is, by what the wheels have slipped since then."""
     xi, variance = way(now.slip, math.hypot(now.mean[3], now.mean[4]), since, now.key[0])
-    mean, P = now.mean.copy(), now.P
-    mean[:3] = se2.retract(mean[:3], xi)
+    error, P, Q = np.zeros(len(now.mean)), now.P, variance * np.eye(3)
+    error[:3] = xi
     for wheels in now.steps:
         i = now.place(now.clones[wheels].number)
-        mean[i : i + 3] = se2.retract(mean[i : i + 3], xi)
-        P = widened(P, moving(now, wheels, "", 0), np.diag(variance))
-    mean.flags.writeable = False
-    return now._replace(mean=mean, P=P)
+        error[i : i + 3] = xi
+        P = widened(P, moving(now, wheels, "", 0), Q)
+    return now._replace(mean=_frozen(motion.retract(now.mean, error)), P=P)
 
 
-def _slip_seen(
-    config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction
-) -> tuple[Snapshot, Correction]:
+def _slip_seen(config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction) -> Snapshot:
     """Learn how the wheels slip from how far the pose was off, and where it was moved to; not beyond the gate."""
     if config.noise_memory == 0.0 or correction.dof < 3 or correction.reason or not before.steps:
-        return after, correction
-    xi = se2.difference(before.mean[:3], after.mean[:3])
-    slip = corrected(before.slip, correction.innovation, xi, correction.stamp, config.wheels.coupled)
-    return after._replace(slip=slip), correction
+        return after
+    stamp, r, coupled = correction.stamp, correction.innovation, config.wheels.coupled
+    return after._replace(slip=corrected(before.slip, r, before.mean, after.mean, stamp, coupled))
 
 
 def _linked(now: Snapshot, M: Callable[[], np.ndarray]) -> Snapshot:
@@ -130,11 +132,14 @@ def _linked(now: Snapshot, M: Callable[[], np.ndarray]) -> Snapshot:
     return now if now.links is None else now._replace(links=(*now.links, Link(M())))
 
 
+def _chosen(now: Snapshot, rows: np.ndarray) -> Snapshot:
+    mean, P = ekf.chosen(now.mean, now.P, rows)
+    return _linked(now, lambda: np.eye(len(now.mean))[rows])._replace(mean=mean, P=P)
+
+
 def _copied(now: Snapshot, number: int) -> Snapshot:
     """Make the pose clone of that number a copy of the pose."""
-    i, n = now.place(number), len(now.mean)
-    mean, P = ekf.clone(now.mean, now.P, i)
-    return _linked(now, lambda: np.eye(n)[ekf.cloning(n, i)])._replace(mean=mean, P=P)
+    return _chosen(now, ekf.cloning(len(now.mean), now.place(number)))
 
 
 def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
@@ -155,14 +160,14 @@ def _keyframe_seen(
     if match is None:
         now = _copied(_rebased(now, _best_known(now)), spare)
     else:
-        now, match = _apart(now, match)
-        at, R = now.place(spare), match.covariance
+        now, left = _apart(now, match)
+        at, R = now.place(spare), left.covariance
         known = bool(np.all(np.isfinite(R)))
         own = R if event.noise is None else event.noise
         noise = scaled(own, now.noise.get(event.source, NOMINAL).deviations) if known else np.zeros((3, 3))
         now = _copied(now, spare)
-        match = replace(match, covariance=_less(R, _SAME * own) if known else R)
-        now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, at)
+        left = left._replace(covariance=_less(R, _SAME * own)) if known else left
+        now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, left, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
     return now, correction, own
 
@@ -173,46 +178,46 @@ def _keyframe_placed(now: Snapshot, event: Keyframe, own: np.ndarray | None) -> 
     if old is not None:
         if event.match is not None:
             now = _rebased(now, now.place(old.number))
-        n = len(now.mean)
-        rows = ekf.moving_last(n, now.place(old.number))
-        mean, P = ekf.chosen(now.mean, now.P, rows)
-        now = _linked(now, lambda: np.eye(n)[rows])._replace(mean=mean, P=P)
+        now = _chosen(now, ekf.moving_last(len(now.mean), now.place(old.number)))
         clone = clone._replace(number=old.number)
     return now._replace(clones={**now.clones, event.source: clone})
 
 
-def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, RelativePoseMeasurement]:
+def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Relation]:
     """Make what all matches to a keyframe have in common an error of its clone; what is left is the match's own."""
-    clone = now.clones.get(match.source)
+    clone, left = now.clones.get(match.source), Relation(match.stamp_reference, match.pose, match.covariance)
     if match.shared_covariance is None or clone is None or clone.stamp != match.stamp_reference:
-        return now, match
-    if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
-        return now, match
+        return now, left
     own = clone.own
     if own is None:
+        if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
+            return now, left
         A = se2.adjoint(match.pose)
-        own, noise = A @ match.shared_covariance @ A.T, now.noise.get(match.source, NOMINAL)
-        own.flags.writeable = False
+        own, noise = _frozen(A @ match.shared_covariance @ A.T), now.noise.get(match.source, NOMINAL)
         P = _added(now.P, now.place(clone.number), scaled(own, noise.deviations))
         now = now._replace(P=P, clones={**now.clones, match.source: clone._replace(own=own)})
     R = np.empty((3, 3))
-    if not _own_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
-        R = match.covariance
-    return now, replace(match, covariance=R, shared_covariance=None)
+    if _noise_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
+        left = Relation(match.stamp_reference, match.pose, _frozen(R))
+    return now, left
 
 
 def _less(R: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Take a part off a covariance (3, 3), but leave at least 1 - _SAME of it in every direction."""
     rest = np.empty((3, 3))
-    return rest if _own_kernels.own_part(R, np.zeros(3), part, 1.0 - _SAME, rest) else (1.0 - _SAME) * R
+    return _frozen(rest if _noise_kernels.own_part(R, _NO_MOTION, part, 1.0 - _SAME, rest) else (1.0 - _SAME) * R)
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
 
 
 def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
     """Add to the covariance of the three errors at i."""
     P = P.copy()
     P[i : i + 3, i : i + 3] += 0.5 * (Q + Q.T)
-    P.flags.writeable = False
-    return P
+    return _frozen(P)
 
 
 def _is_stale(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> bool:
@@ -222,7 +227,7 @@ def _is_stale(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement
     and a speed beyond the base's limit of acceleration (√3 deviations) and 2 deviations of a reading.
     """
     clone, R = now.clones.get(step.source), step.reading_covariance
-    if R is None or clone is None or np.any(step.pose) or not any(c.keyframe for c in now.clones.values()):
+    if R is None or clone is None or any(step.pose.tolist()) or not any(c.keyframe for c in now.clones.values()):
         return False
     dt, speed = step.stamp - step.stamp_reference, math.hypot(now.mean[3], now.mean[4])
     braked = math.sqrt(3.0) * max(config.acceleration_deviation[:2]) * dt
@@ -234,89 +239,90 @@ def _passed_over(now: Snapshot, step: RelativePoseMeasurement) -> tuple[Snapshot
     """Leave the clone where the last new reading put it, for the step that comes after this one."""
     clone = now.clones[step.source]
     clone = clone._replace(stamp=step.stamp, changed=min(clone.changed, step.stamp_reference))
-    tally = now.tallies.get(step.source, Tally())
-    tallies = {**now.tallies, step.source: tally._replace(gated=tally.gated + 1)}
-    now = now._replace(clones={**now.clones, step.source: clone}, tallies=tallies)
-    return now, Correction(step.stamp, step.source, "gated", "the reading of the wheels is the last one once more")
+    now = now._replace(clones={**now.clones, step.source: clone})
+    reason = "the reading of the wheels is the last one once more"
+    return _set_aside(now, Correction(step.stamp, step.source, "gated", reason))
 
 
-def _carried(
-    config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement
-) -> tuple[Snapshot, RelativePoseMeasurement]:
+def _carried(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> tuple[Snapshot, Relation]:
     """Take a step between two readings of the wheels: the clone goes along, and stands where the wheels say we are.
 
     So the error of a reading stays with that reading, whereas the error of the steps adds up in the clone. Returns
     what is left to measure: that we are at the clone, as well as a reading tells. What is no such step stays as it is.
     """
-    clone, R = now.clones.get(step.source), step.reading_covariance
-    if R is None or clone is None or clone.stamp != step.stamp_reference or not np.all(np.isfinite(step.pose)):
-        return now, step
-    noise = now.noise.get(process_noise(step.source), NOMINAL)
-    Q = scaled(step.covariance, noise.deviations)
+    source, clone, R = step.source, now.clones.get(step.source), step.reading_covariance
+    if R is None or clone is None or clone.stamp != step.stamp_reference or not math.isfinite(sum(step.pose.tolist())):
+        return now, Relation(step.stamp_reference, step.pose, step.covariance)
+    noise = now.noise.get(process_noise(source), NOMINAL)
+    Q, A, parts = np.empty((3, 3)), np.empty((3, 3)), np.zeros((2, 3, 3))
+    _noise_kernels.step_noise(step.covariance, noise.row, step.pose, Q, A, parts)
+    steps = {**now.steps, source: A @ now.steps.get(source, _NOTHING_ADDED) @ A.T + parts}
     mean, P, T = ekf.carry(config.wheels, now.mean, now.P, now.place(clone.number), step.pose, Q)
-    A, parts = se2.adjoint(se2.inverse(step.pose)), parts_of(Q, _ROWS)
-    steps = {**now.steps, step.source: A @ now.steps.get(step.source, _NOTHING_ADDED) @ A.T + parts}
-    clones = {**now.clones, step.source: clone._replace(stamp=step.stamp, changed=math.inf)}
-    at_clone = RelativePoseMeasurement(step.stamp, step.stamp, np.zeros(3), R, step.source)
-    return _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps), at_clone
+    clones = {**now.clones, source: Clone(clone.number, step.stamp, clone.own, clone.keyframe)}
+    now = _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps)
+    return now, Relation(step.stamp, _NO_MOTION, R)
+
+
+def _set_aside(now: Snapshot, said: Correction) -> tuple[Snapshot, Correction]:
+    tally = now.tallies.get(said.source, _NO_TALLY)
+    tally = tally._replace(**{said.status: getattr(tally, said.status) + 1})
+    return now._replace(tallies={**now.tallies, said.source: tally}), said
 
 
 def _corrected(
-    config: FilterConfig, now: Snapshot, measurement: Measurement, at: int = 0
+    config: FilterConfig, now: Snapshot, measurement: Measurement, left: Relation | None = None, at: int = 0
 ) -> tuple[Snapshot, Correction]:
     """Observe, gate, correct (3.29), count, and learn how noisy the source is; at: the pose observed, 0: now.
 
-    What a fix corrects and what all else does: `ekf`; for a smoother, which looks back over it, each corrects all.
+    left: of a relative pose, what is left to measure. What a fix corrects and what all else does: `ekf`; for a
+    smoother, which looks back over it, each corrects all.
     """
-    stamp, source = measurement.stamp, measurement.source
-    tally, clone, fix = now.tallies.get(source, Tally()), None, isinstance(measurement, PoseMeasurement)
-    said = Correction(stamp, source, "refused")
-
-    def refused(reason: str) -> tuple[Snapshot, Correction]:
-        tallies = {**now.tallies, source: tally._replace(refused=tally.refused + 1)}
-        return now._replace(tallies=tallies), said._replace(reason=reason)
-
-    indices: tuple[int, ...] = ()
-    if isinstance(measurement, RelativePoseMeasurement):
+    source, clone, fix = measurement.source, None, isinstance(measurement, PoseMeasurement)
+    said = Correction(measurement.stamp, source, "refused")
+    noise, tally = now.noise.get(source, NOMINAL), now.tallies.get(source, _NO_TALLY)
+    if left is None:
+        observation, fault = observe(now.mean, measurement, noise=noise)
+    else:
         clone = now.clones.get(source)
-        if clone is None or clone.stamp != measurement.stamp_reference:
-            return refused(f"relative to {measurement.stamp_reference} s, where {source} has no pose clone")
-        indices = now.place(clone.number), at
-    observation, fault = observe(now.mean, measurement, *indices)
+        if clone is None or clone.stamp != left.since:
+            reason = f"relative to {left.since} s, where {source} has no pose clone"
+            return _set_aside(now, said._replace(reason=reason))
+        observation, fault = observe_relative_pose(now.mean, left, noise, now.place(clone.number), at)
     if fault:
-        return refused(fault)
-    noise, blocks = now.noise.get(source, NOMINAL), blocks_of(measurement)
-    r, H, R = observation.innovation, observation.H, scaled(observation.R, noise.deviations[2 * blocks])
-    k = len(r)
+        return _set_aside(now, said._replace(reason=fault))
+    r, H, R, _ = observation
+    k, before = len(r), now.P
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
-    S, judged = ekf.innovation_covariance(now.P, H, R), now
-    now = faults_found(config, now, measurement, Observation(r, H, R), S, gate, at)
-    if k == 3 and clone is not None and source not in now.steps and gate < np.inf:
-        now = bias_jumps_found(
-            config, now, r[2], S[2, 2] if now.P is judged.P else float(H[2] @ now.P @ H[2] + R[2, 2])
-        )
-    if now.P is not judged.P:
-        S = ekf.innovation_covariance(now.P, H, R)
     gain: Literal["all", "local", "fix"] = "all" if now.links is not None else "fix" if fix else "local"
-    mean, P, nis, scale = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, gain)
-    if nis == np.inf:
-        return refused("its innovation has no positive definite covariance")
-    if config.noise_memory > 0.0 and at == 0:
-        now = _learned(config, now, measurement, Observation(r, H, R), blocks, S)
+    mean, P, nis, scale, S = judged = ekf.correct(now.mean, before, r, H, R, gate, False, gain)
+    if nis > gate or source in now.streaks:
+        now = faults_found(config, now, measurement, observation, judged, gate, at)
+    if k == 3 and clone is not None and source not in now.steps and gate < math.inf:
+        now = bias_jumps_found(config, now, r[2], S[2, 2] if now.P is before else float(H[2] @ now.P @ H[2] + R[2, 2]))
+    if now.P is not before or (inflate and scale == 0.0):
+        mean, P, nis, scale, S = ekf.correct(now.mean, now.P, r, H, R, gate, inflate, gain)
+    if nis == math.inf:
+        return _set_aside(now, said._replace(reason="its innovation has no positive definite covariance"))
+    noises, steps, links = now.noise, now.steps, now.links
+    if config.noise_memory > 0.0 and at == 0:  # and of what the wheels' steps add, where another source tells the pose
+        seen = steps if (fix or left is not None) and source not in steps else {}
+        noises = _learned(config, now, source, seen, observation, S)
+        steps = dict.fromkeys(steps, _NOTHING_ADDED) if seen else steps
+    if links is not None and scale > 0.0:
+        links = (*links, Link(*ekf.correction_map(now.mean, now.P, r, H, scale * R)))
     status, reason, tally = _judged(tally, nis, gate, scale)
-    if now.links is not None and scale > 0.0:
-        now = now._replace(links=(*now.links, Link(*ekf.correction_map(now.mean, now.P, r, H, scale * R))))
     tallies = {**now.tallies, source: tally}
-    return now._replace(mean=mean, P=P, tallies=tallies), Correction(stamp, source, status, reason, r, nis, k)
+    now = now._replace(mean=mean, P=P, tallies=tallies, noise=noises, steps=steps, links=links)
+    return now, Correction(measurement.stamp, source, status, reason, r, nis, k)
 
 
 def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Literal["used", "gated"], str, Tally]:
     used, inflated, gated, refused, streak = tally
+    if scale == 1.0:
+        return "used", "", Tally(used + 1, inflated, gated, refused)
     reason = f"NIS {nis:.1f} is above the gate {gate:.1f}"
     if scale == 0.0:
         return "gated", reason, Tally(used, inflated, gated + 1, refused, streak + 1)
-    if scale == 1.0:
-        return "used", "", Tally(used + 1, inflated, gated, refused)
     reason = f"{reason}: taken with its covariance times {scale:.3g}"
     return "used", reason, Tally(used + 1, inflated + 1, gated, refused, streak + 1)
 
@@ -324,22 +330,14 @@ def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Litera
 def _learned(
     config: FilterConfig,
     now: Snapshot,
-    measurement: Measurement,
+    source: str,
+    steps: Mapping[str, np.ndarray],
     observation: Observation,
-    blocks: np.ndarray,
     S: np.ndarray,
-) -> Snapshot:
-    """Learn from an innovation about its source's noise; from one that tells the pose, also about the wheels' steps."""
-    (r, H, R), source, steps = observation, measurement.source, now.steps
-    is_wheels = source in steps
-    tells_pose = isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and not is_wheels
-    others = list(steps) if tells_pose else []
-    names = [source, *(process_noise(wheels) for wheels in others)]
-    noises = [now.noise.get(name, NOMINAL) for name in names]
-    least = [LEAST if is_wheels else 1.0] + [LEAST] * len(others)
-    added = np.array([steps[wheels] for wheels in others]).reshape(-1, 2, 3, 3)
-    seen = H[:, :3] * config.wheels.coupled
-    after = learned(noises, S, r, parts_of(R, blocks), seen, added, config.noise_memory, least)
-    if tells_pose:
-        steps = dict.fromkeys(steps, _NOTHING_ADDED)
-    return now._replace(noise={**now.noise, **dict(zip(names, after, strict=True))}, steps=steps)
+) -> Mapping[str, Noise]:
+    """Learn from a source's innovation about its noise, and about that of the steps, where it tells what they added."""
+    (r, H, R, blocks), names = observation, [source, *map(process_noise, steps)]
+    rows = np.array([now.noise.get(name, NOMINAL).row for name in names])
+    added, is_wheels = np.array([*steps.values()]) if steps else _NO_STEPS, source in now.steps
+    _noise_kernels.learn(S, r, H, R, blocks, config.wheels.coupled, added, config.noise_memory, is_wheels, rows)
+    return {**now.noise, **dict(zip(names, map(Noise, _frozen(rows)), strict=True))}

@@ -114,7 +114,7 @@ class Estimates(NamedTuple):
 
 
 class _Taken(NamedTuple):
-    """What one reading led to."""
+    """What came of one reading."""
 
     corrections: list[Correction]
     events: list[Event]
@@ -210,14 +210,14 @@ def step(state: LocalizerState, readings: Iterable[Reading]) -> tuple[LocalizerS
     buffer, entries, decided = replay_buffer.step(state.buffer, keyed, partial(_take, state), limits)
     corrections, turned_away = _corrections(decided, state.turned_away)
     rows = _rows([*entries, buffer.entries[0]])
-    return replace(state, buffer=buffer, turned_away=turned_away), Output(*rows, *_led_to(entries), corrections)
+    return replace(state, buffer=buffer, turned_away=turned_away), Output(*rows, *_come_of(entries), corrections)
 
 
 def settled(state: LocalizerState) -> Output:
     """Return what is left at the end, when no reading comes any more."""
     entries = state.buffer.entries
     end = Entry((np.inf, 0, ""), None, None)
-    return Output(*_rows([*entries, end]), *_led_to(entries), [])
+    return Output(*_rows([*entries, end]), *_come_of(entries), [])
 
 
 def _mount(sensor) -> np.ndarray:
@@ -257,7 +257,7 @@ def _rows(entries: list[Entry]) -> tuple[list[Row], list[Row]]:
     return rows, on_map
 
 
-def _led_to(entries: Iterable[Entry]) -> tuple[list[ScanMatch], list[Event]]:
+def _come_of(entries: Iterable[Entry]) -> tuple[list[ScanMatch], list[Event]]:
     taken: list[_Taken] = [entry.outcome for entry in entries if entry.outcome is not None]
     matches = [one.match for one in taken if one.match is not None]
     return matches, [event for one in taken for event in one.events]
