@@ -1,6 +1,8 @@
 """One program for logs and robots: in whatever portions and however late readings come, the same settled rows."""
 
+import sys
 from dataclasses import replace
+from os import sep
 
 import numpy as np
 import pytest
@@ -166,6 +168,25 @@ def test_an_object_with_a_state_of_its_own_does_the_same(thing, recording, rows)
     assert same_rows((given, []), (rows[0][: len(given)], []))
     np.testing.assert_array_equal(one.belief().pose, rows[0][-1].pose)
     np.testing.assert_array_equal(one.belief_on_map().pose, rows[1][-1].pose)
+
+
+def test_one_step_enters_at_most_20_files_of_the_package(thing, recording):
+    readings = readings_of(recording)
+    state, _ = localizer.step(localizer.init(thing), readings[:-40])
+    entered = set()
+
+    def watch(frame, event, _):
+        name = frame.f_code.co_filename
+        if event == "call" and f"{sep}longreach{sep}" in name and not name.endswith("kernels.py"):
+            entered.add(name)
+
+    sys.setprofile(watch)
+    try:
+        localizer.step(state, readings[-40:])
+    finally:
+        sys.setprofile(None)
+    assert {type(reading).__name__ for reading in readings[-40:]} >= {"LaserScan", "WheelTicks", "Imu"}
+    assert 8 < len(entered) <= 20, sorted(entered)
 
 
 def _by_kind(recording):

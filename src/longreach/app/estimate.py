@@ -261,6 +261,8 @@ def _remarks(breaks: int, done: _Done) -> list[str]:
     remarks, matches = [], done.output.matches
     if breaks:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
+    if done.state.now.fixed:
+        remarks.append("The fixes lie too near each other to show the heading on the map, so nothing is localized.")
     failed = [match for match in matches if match.measurement is None]
     if failed:
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")
