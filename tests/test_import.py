@@ -34,6 +34,14 @@ def test_every_public_name_is_there(name):
     assert name in dir(longreach)
 
 
+def test_editors_know_the_same_public_names_from_the_same_places():
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+    found = {name.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for name in node.names}
+    assert found == longreach._PUBLIC
+    listed = next(node.value for node in stub.body if isinstance(node, ast.Assign))
+    assert sorted(ast.literal_eval(listed)) == sorted(longreach.__all__)
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         longreach.nothing  # noqa: B018
