@@ -7,36 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
 import longreach
-from longreach.app.configuration import EstimateConfig
-from longreach.app.estimate import estimate
-from longreach.app.operated import simulated
-from longreach.configuration import ConfigurationTrajectory
-from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
-from longreach.control.hardware import Command
-from longreach.errors import ConfigError
-from longreach.estimation.spatial.batch import estimate_in_space
-from longreach.geometry import se3, so3
-from longreach.io.config import load_description
-from longreach.io.robots import load_robot
 from longreach.kernels import cache_root, source_hash
-from longreach.measurement import PoseMeasurement, frozen_array
-from longreach.odometry.lidar import lidar_odometry
-from longreach.planning.inverse_kinematics import all_solutions, solve_ik
-from longreach.planning.obstacles import Disc
-from longreach.planning.planner import plan
-from longreach.planning.reference import dual_trajectory
-from longreach.planning.terms_clearance import base_clearance
-from longreach.planning.thesis_problem import thesis_problem
-from longreach.robot.manipulability import manipulability
-from longreach.sim.kinematic import make_recording
-from longreach.sim.kinematic_robot import KinematicRobot
-from longreach.sim.monte_carlo import drive_many
-from longreach.sim.simulated import Simulated
-from longreach.spatial_measurement import SpatialRecording, TwistReading
-from longreach.spatial_settings import SensorSettings, SpatialSettings
+
+# Each room imports what it runs when it is compiled; who finds all compiled loads none of it.
 
 Progress = Callable[[str, float], None]
 
@@ -53,6 +28,8 @@ def warm_up(progress: Progress | None = None, *rooms: str) -> Path:
     cold = [room for room, mark in marks.items() if not mark.is_file()]
     if not cold:
         return cache_root()
+    from joblib import Parallel, delayed
+
     stage = f"compiling {', '.join(cold)} (first run only)"
     tell(stage, 0.0)
     beside = threading.current_thread() is not threading.main_thread()  # who is not to be held up by the compiler
@@ -76,6 +53,12 @@ def _version() -> str:
 
 
 def _estimation() -> None:
+    from longreach.app.configuration import EstimateConfig
+    from longreach.app.estimate import estimate
+    from longreach.io.config import load_description
+    from longreach.measurement import PoseMeasurement
+    from longreach.sim.kinematic import make_recording
+
     thing = load_description("thing")
     recording = make_recording(thing, duration=1.0, lidar_rate=10.0, beams=90)
     estimate(recording, thing, EstimateConfig(sources=("wheels", "imu")))  # while another process may compile _scans
@@ -84,11 +67,21 @@ def _estimation() -> None:
 
 
 def _scans() -> None:
+    from longreach.io.config import load_description
+    from longreach.odometry.lidar import lidar_odometry
+    from longreach.sim.kinematic import make_recording
+
     recording = make_recording(load_description("thing"), duration=1.0, lidar_rate=10.0, beams=90)
     lidar_odometry(recording.scans, recording.mounts[recording.scans[0].frame])
 
 
 def _kinematics() -> None:
+    from longreach.geometry import se3, so3
+    from longreach.io.robots import load_robot
+    from longreach.measurement import frozen_array
+    from longreach.planning.inverse_kinematics import all_solutions, solve_ik
+    from longreach.robot.manipulability import manipulability
+
     thing = load_robot("thing")
     q = thing.home
     frozen = frozen_array(np.stack([q, q]), (2, None), "two")  # as trajectories hold them
@@ -106,12 +99,24 @@ def _kinematics() -> None:
 
 
 def _task_priority() -> None:
+    from longreach.io.robots import load_robot
+    from longreach.planning.planner import plan
+    from longreach.planning.reference import dual_trajectory
+    from longreach.robot.manipulability import manipulability
+
     thing = load_robot("thing")
     plan(thing, dual_trajectory(thing.forward(thing.home), waypoints=3), thing.home)
     manipulability(thing, np.stack([thing.home, thing.home]))
 
 
 def _sqp() -> None:
+    from longreach.io.robots import load_robot
+    from longreach.planning.obstacles import Disc
+    from longreach.planning.planner import plan
+    from longreach.planning.reference import dual_trajectory
+    from longreach.planning.terms_clearance import base_clearance
+    from longreach.planning.thesis_problem import thesis_problem
+
     thing = load_robot("thing")
     reference = dual_trajectory(thing.forward(thing.home), waypoints=5)
     for coupled in (True, False):
@@ -121,6 +126,10 @@ def _sqp() -> None:
 
 
 def _space() -> None:
+    from longreach.estimation.spatial.batch import estimate_in_space
+    from longreach.spatial_measurement import SpatialRecording, TwistReading
+    from longreach.spatial_settings import SensorSettings, SpatialSettings
+
     mask = (False,) * 6 + (True,) * 3 + (False,) * 6
     settings = SpatialSettings((SensorSettings("twist0", "twist", "twist", mask),))
     readings = [TwistReading(0.1 * i, np.zeros(6), np.eye(6), "", "twist0") for i in range(3)]
@@ -128,6 +137,12 @@ def _space() -> None:
 
 
 def _control() -> None:
+    from longreach.configuration import ConfigurationTrajectory
+    from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
+    from longreach.control.hardware import Command
+    from longreach.io.robots import load_robot
+    from longreach.sim.kinematic_robot import KinematicRobot
+
     thing = load_robot("thing")
     robot = KinematicRobot(thing)
     gate = safety.init(safety_config.limits_of(robot.promises), 0.0, thing.home[thing.arm])
@@ -143,21 +158,31 @@ def _control() -> None:
 
 
 def _sim() -> None:
+    from longreach.io.robots import load_robot
+    from longreach.sim.monte_carlo import drive_many
+
     drive_many(load_robot("thing"), np.zeros((1, 1, 3)))
     _kinematic()
     _physics()
 
 
 def _kinematic() -> None:
-    _let_live(simulated("kinematic", load_robot("thing"), "laboratory", 0))
+    _let_live("kinematic")
 
 
 def _physics() -> None:
+    from longreach.errors import ConfigError
+
     with suppress(ConfigError):  # MuJoCo need not be installed
-        _let_live(simulated("sim", load_robot("thing"), "laboratory", 0))
+        _let_live("sim")
 
 
-def _let_live(robot: Simulated) -> None:
+def _let_live(kind: str) -> None:
+    from longreach.app.operated import simulated
+    from longreach.control.hardware import Command
+    from longreach.io.robots import load_robot
+
+    robot = simulated(kind, load_robot("thing"), "laboratory", 0)
     robot.write(Command(0.0, np.zeros(6), base=np.zeros(3)))
     robot.advance(0.06)
     robot.read()
