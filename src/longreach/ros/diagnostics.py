@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from longreach.estimation.fusion import Correction
+from longreach.estimation.planar.state import Correction
 from longreach.io import messages
 from longreach.ros import wire
 from longreach.ros.sensors import Sensors

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EstimateConfig
 from longreach.app.tracker import sensed
-from longreach.estimation.gaussian import Belief
+from longreach.estimation.planar.state import Belief
 from longreach.geometry import se2
 from longreach.io import messages
 from longreach.io.bag_topics import ODOMETRY

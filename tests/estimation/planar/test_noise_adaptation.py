@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.estimation._noise_kernels import own_part
+from longreach.estimation.planar._measurement_kernels import own_part
 from longreach.geometry import se2
 
 POSE = np.array([0.4, -0.2, 0.5])

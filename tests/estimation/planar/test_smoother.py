@@ -8,10 +8,11 @@ from keyframe_events import CONFIG, events_of, unchecked
 from scipy.stats import chi2
 
 from longreach.errors import EstimationError
-from longreach.estimation import _kernels
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, in_order, init, step
-from longreach.estimation.smoother import smooth
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import in_order, init, step
+from longreach.estimation.planar.smoother import smooth
+from longreach.estimation.planar.state import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
 from longreach.trajectory import PoseTrajectory
@@ -24,7 +25,7 @@ def batch(stamps, rows, values, variances):
     n = 3 * len(stamps)
     H, z, W = [np.eye(3, n)], [np.zeros(3)], [np.diag([1 / 0.04, 1.0, 1.0])]
     for i, (before, now) in enumerate(pairwise(stamps)):
-        f, g, e, q = _kernels.singer(now - before, 0.5)
+        f, g, e, q = kernels.singer(now - before, 0.5)
         Phi = np.array([[1.0, now - before, f], [0.0, 1.0, g], [0.0, 0.0, e]])
         Q = np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]])
         J = np.zeros((3, n))
