@@ -32,7 +32,7 @@ def noise(rng, R=SCAN):
 def events_of(rng, shares=True, scans=SCANS, every=EVERY):
     """Scans at 10 Hz against keyframes: events, the last true state, and the true pose at each scan from the first.
 
-    shares: what matches have in common is said, and a keyframe's anchor knows its match.
+    shares: what matches have in common is said, and a keyframe's clone has its match.
     """
     x, events, truth = np.zeros(13), [], [np.zeros(3)]
     x[3:6], x[6:9] = rng.normal(size=3), rng.normal(size=3) * CONFIG.acceleration_deviation

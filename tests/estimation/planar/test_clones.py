@@ -106,7 +106,7 @@ def start(config=NO_GATE):
 
 @pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 2e-3), (0.1, 2e-5), (0.01, 2e-7)])
 def test_readings_without_error_are_steps_from_clone_to_clone(rng, scale, tolerance):
-    """Two roads: the clone carried along by the steps, or placed anew after each; to first order they are one."""
+    """Two roads: the clone carried along by the steps, or cloned anew after each; to first order they are one."""
     config = NO_GATE.model_copy(
         update={"acceleration_deviation": (scale,) * 3, "initial_twist_deviation": (scale,) * 3}
     )
@@ -185,11 +185,11 @@ def test_after_a_fix_the_wheels_go_on_from_there(rng):
     )
 
 
-@pytest.mark.parametrize("placed", [None, 0.0])
-def test_a_reading_without_a_clone_at_its_start_is_refused(placed):
+@pytest.mark.parametrize("cloned", [None, 0.0])
+def test_a_reading_without_a_clone_at_its_start_is_refused(cloned):
     state = start()
-    if placed is not None:
-        state, _ = step(state, PoseClone(placed, "wheels"))
+    if cloned is not None:
+        state, _ = step(state, PoseClone(cloned, "wheels"))
     before = state.newest
     state, correction = step(state, RelativePoseMeasurement(0.05, 0.1, np.zeros(3), STEP, "wheels", READING))
     assert correction.status == "refused"

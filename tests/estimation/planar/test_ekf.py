@@ -38,19 +38,19 @@ def textbook_chain(dt, variance, tau=0.5):
 
 def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
     mean, P = np.zeros(16), spd(rng, 16, 0.3)
-    placed = -1
+    cloned = -1
     for k in range(10_000):
         mean, P = ekf.predict(MODEL, mean, P, float(10.0 ** rng.uniform(-4, 0.3)))
         if k == 100:
             mean, P = ekf.chosen(mean, P, ekf.copying(19, 0, 16))
-            placed = k
-        kind = k % 4 if placed >= 0 else k % 3
+            cloned = k
+        kind = k % 4 if cloned >= 0 else k % 3
         R3 = spd(rng, 3, 10.0 ** rng.uniform(-4, 0))
         measurement = (
             TwistMeasurement(0.0, mean[3:6] + rng.normal(size=3) * 0.1, R3),
             PoseMeasurement(0.0, se2.compose(mean[13:16], mean[:3]) + rng.normal(size=3) * 0.1, R3),
             PlanarImu(0.0, 0.1, rng.normal(size=2) * 0.1, np.array([0.2, -0.3]), 1e-4, R3[:2, :2]),
-            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if placed >= 0 else np.zeros(3), R3),
+            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if cloned >= 0 else np.zeros(3), R3),
         )[kind]
         (r, H, R, _), fault = observe(mean, measurement, *((16,) if kind == 3 else ()))
         assert not fault

@@ -29,8 +29,8 @@ def drive(rng, wheels=lambda i, z: z, scans=lambda i, z: z, gyro=None, moved=Non
         if moved is not None and i == moved[0]:
             x = se2.compose(x, moved[1])
         truth.append(x)
-        told = wheels(i, se2.retract(z, np.sqrt(np.diag(STEP)) * rng.normal(size=3)))
-        events.append(RelativePoseMeasurement(before, now, told, STEP, "wheels", reading))
+        counted = wheels(i, se2.retract(z, np.sqrt(np.diag(STEP)) * rng.normal(size=3)))
+        events.append(RelativePoseMeasurement(before, now, counted, STEP, "wheels", reading))
         if gyro is not None:
             events.append(PlanarImu(now, 0.2 + gyro(i) + 0.01 * rng.normal(), None, np.zeros(2), 1e-4))
         if i % 2 == 0:

@@ -17,10 +17,10 @@ def test_events_taken_at_once_in_any_order_give_what_they_give_one_by_one(rng):
         corrections.append(correction)
     late = [event for event in events if event.source == "fix"]
     many, _ = planar_filter.steps(start, [event for event in events if event.source == "wheels"])
-    many, told = planar_filter.steps(many, rng.permutation(np.array(late, dtype=object)).tolist())
+    many, decided = planar_filter.steps(many, rng.permutation(np.array(late, dtype=object)).tolist())
     np.testing.assert_array_equal(many.newest.mean, one.newest.mean)
     np.testing.assert_array_equal(many.newest.P, one.newest.P)
-    assert [c.nis for c in told] == [c.nis for c in corrections if c.source == "fix"]
+    assert [c.nis for c in decided] == [c.nis for c in corrections if c.source == "fix"]
     after, none = planar_filter.steps(many, [])
     assert (after.buffer, none) == (many.buffer, [])
 
@@ -30,6 +30,6 @@ def test_what_is_too_late_is_refused_in_its_place_and_counted():
         planar_filter.init(0.0, np.zeros(3)), [TwistMeasurement(9.0, np.zeros(3), np.eye(3), source="w")]
     )
     both = [TwistMeasurement(stamp, np.zeros(3), np.eye(3), source="w") for stamp in (9.1, 1.0)]
-    state, told = planar_filter.steps(state, both)
-    assert [c.status for c in told] == ["refused", "used"]
+    state, decided = planar_filter.steps(state, both)
+    assert [c.status for c in decided] == ["refused", "used"]
     assert state.tallies["w"].refused == 1

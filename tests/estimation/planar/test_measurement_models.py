@@ -190,7 +190,7 @@ def test_what_is_no_measurement_is_named(changes, says):
     assert says in fault
 
 
-def test_random_covariances_are_told_from_indefinite_ones(rng):
+def test_random_covariances_are_distinguished_from_indefinite_ones(rng):
     for _ in range(200):
         eigenvalues = rng.normal(size=3) * 10.0 ** rng.uniform(-4, 4, size=3)
         basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]

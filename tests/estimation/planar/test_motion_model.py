@@ -22,8 +22,8 @@ def chain(dt, tau):
     )
 
 
-def random_mean(rng, anchors=0):
-    mean = rng.normal(size=13 + 3 * anchors)
+def random_mean(rng, clones=0):
+    mean = rng.normal(size=13 + 3 * clones)
     mean[5] *= 2.0
     return mean
 
@@ -61,9 +61,9 @@ def test_unmeasured_acceleration_keeps_its_stationary_variance():
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0])
-@pytest.mark.parametrize("anchors", [0, 2])
-def test_the_transition_jacobian_is_its_derivative(rng, dt, anchors):
-    mean = random_mean(rng, anchors)
+@pytest.mark.parametrize("clones", [0, 2])
+def test_the_transition_jacobian_is_its_derivative(rng, dt, clones):
+    mean = random_mean(rng, clones)
     _, F, _ = motion_model.transition(MODEL, mean, dt)
     assert_is_jacobian(
         lambda x: motion_model.transition(MODEL, x, dt)[0],

@@ -86,7 +86,7 @@ def middle_error(rng, config):
 def test_it_is_never_less_sure_than_the_filter_and_ends_near_it(rng):
     path, smoothed = middle_error(rng, CONFIG)
     np.testing.assert_array_equal(smoothed.stamps, path.stamps)
-    xi = se2.difference(smoothed.poses[-1], path.poses[-1])  # each leaves another part of what is told unused
+    xi = se2.difference(smoothed.poses[-1], path.poses[-1])  # each leaves another part of what is measured unused
     assert xi @ np.linalg.solve(path.covariance[-1], xi) < chi2.ppf(0.9, 3)
     assert np.all(np.trace(smoothed.covariance, axis1=1, axis2=2) <= np.trace(path.covariance, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(smoothed.covariance).min() > -1e-12
