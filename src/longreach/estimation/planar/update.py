@@ -23,12 +23,7 @@ from longreach.estimation.planar import _measurement_kernels as kernels
 from longreach.estimation.planar import ekf, motion_model
 from longreach.estimation.planar.config import FilterConfig
 from longreach.estimation.planar.fault_detection import bias_jumps_found, faults_found, moving, widened
-from longreach.estimation.planar.measurement_models import (
-    Measurement,
-    Observation,
-    Relation,
-    observe,
-)
+from longreach.estimation.planar.measurement_models import Measurement, Observation, Relation, observe
 from longreach.estimation.planar.noise_adaptation import NOMINAL, Noise, process_noise, scaled
 from longreach.estimation.planar.state import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
 from longreach.estimation.planar.wheel_slip import corrected, way
@@ -44,8 +39,7 @@ _SAME = 0.97
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
-_NOTHING_ADDED, _NO_MOTION = np.zeros((2, 3, 3)), np.zeros(3)
-_NOTHING_ADDED.flags.writeable = _NO_MOTION.flags.writeable = False
+_NOTHING_ADDED, _NO_MOTION = ekf.frozen(np.zeros((2, 3, 3))), ekf.frozen(np.zeros(3))
 _NO_TALLY, _NO_STEPS = Tally(), np.zeros((0, 2, 3, 3))
 
 
