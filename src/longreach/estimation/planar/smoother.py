@@ -25,7 +25,7 @@ from longreach.trajectory import PoseTrajectory
 
 
 def smooth(state: FilterState, events: Iterable[Event]) -> PoseTrajectory:
-    """Take all events, sorted as `fusion.in_order` does, and return the smoothed pose at each stamp, as `run` does.
+    """Take all events, sorted as `filter.in_order` does, and return the smoothed pose at each stamp, as `run` does.
 
     Give `init` a config with history=0: sorted events need none.
     """

@@ -87,7 +87,7 @@ def step(state: SpatialState, reading: Reading) -> SpatialState:
     limits = replay_buffer.Settings(span, max(span, state.settings.sensor_timeout), _PATIENCE)
     key = (reading.stamp, reading.source, type(reading).__name__)
     buffer, _, decided = replay_buffer.step(state.buffer, [(key, reading)], partial(_take, state), limits)
-    late = [one.key[0] < state.stamp for one in decided if one.refused]
+    late = [bool(one.key[0] < state.stamp) for one in decided if one.refused]
     return replace(state, buffer=buffer, late=state.late + sum(late), ahead=state.ahead + len(late) - sum(late))
 
 
