@@ -9,16 +9,21 @@ to its number of components; printed with the 95 % bounds of χ². Exit code 1 w
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from scipy.special import gammaincinv
 
-from longreach.estimation import motion
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import FusionState, Keyframe, in_order, init, step
-from longreach.estimation.observation import PlanarImu
+from longreach.estimation.planar import motion_model
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import FilterState, in_order, init, step
+from longreach.estimation.planar.measurement_models import PlanarImu
+from longreach.estimation.planar.state import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from true_motion import draw
 
 DURATION = 6.0  # [s]
 SEED = 7
@@ -33,17 +38,17 @@ def _noise(R: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.linalg.cholesky(R) @ rng.standard_normal(len(R))
 
 
-def _draw_start(state: FusionState, rng: np.random.Generator) -> np.ndarray:
+def _draw_start(state: FilterState, rng: np.random.Generator) -> np.ndarray:
     error = np.zeros(13)
     P = state.belief.covariance
     measured = np.diag(P) > 0
     error[:10][measured] = _noise(P[np.ix_(measured, measured)], rng)
-    mean = np.concatenate([state.belief.pose, state.history[-1].mean[3:13]])
-    return motion.retract(mean, error)
+    mean = np.concatenate([state.belief.pose, state.newest.mean[3:13]])
+    return motion_model.retract(mean, error)
 
 
-def _error(state: FusionState, truth: np.ndarray) -> np.ndarray:
-    return np.concatenate([se2.difference(state.belief.pose, truth[:3]), truth[3:10] - state.history[-1].mean[3:10]])
+def _error(state: FilterState, truth: np.ndarray) -> np.ndarray:
+    return np.concatenate([se2.difference(state.belief.pose, truth[:3]), truth[3:10] - state.newest.mean[3:10]])
 
 
 def _nees(error: np.ndarray, P: np.ndarray, components: list[int]) -> float:
@@ -51,7 +56,7 @@ def _nees(error: np.ndarray, P: np.ndarray, components: list[int]) -> float:
     return float(e @ np.linalg.solve(P[np.ix_(components, components)], e))
 
 
-def linear_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
+def linear_run(rng: np.random.Generator) -> tuple[FilterState, np.ndarray]:
     """Simulate and filter (a); returns the last state and the truth."""
     still = 1e-9  # the heading neither turns nor is uncertain
     config = FilterConfig(
@@ -64,7 +69,7 @@ def linear_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
     truth, now = _draw_start(state, rng), 0.0
     wheels = [(t, "wheels") for t in np.arange(0.02, DURATION, 0.02)]
     for stamp, source in sorted([*wheels, *((t, "fix") for t in np.arange(0.5, DURATION, 1.0))]):
-        truth, now = motion.draw(config.motion, truth, stamp - now, rng), stamp
+        truth, now = draw(config.motion, truth, stamp - now, rng), stamp
         if source == "wheels":
             event = TwistMeasurement(stamp, truth[3:6] + _noise(WHEELS, rng), WHEELS)
         else:
@@ -75,7 +80,7 @@ def linear_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
     return state, truth
 
 
-def planar_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
+def planar_run(rng: np.random.Generator) -> tuple[FilterState, np.ndarray]:
     """Simulate and filter (b); returns the last state and the truth."""
     config = FilterConfig(gate_mode="none", history=0.0)
     state = init(0.0, START, np.diag([0.1, 0.1, 0.05]) ** 2, config)
@@ -85,7 +90,7 @@ def planar_run(rng: np.random.Generator) -> tuple[FusionState, np.ndarray]:
     plan += [(t, "lidar") for t in np.arange(0.1, DURATION, 0.1)]
     plan += [(t, "fix") for t in np.arange(1.03, DURATION, 2.0)]
     for stamp, source in sorted(plan):
-        truth, now = motion.draw(config.motion, truth, stamp - now, rng), stamp
+        truth, now = draw(config.motion, truth, stamp - now, rng), stamp
         x, v, (vx, vy, w), a = truth[:3], truth[3:6], truth[3:6], truth[6:9]
         events = []
         if source == "wheels":

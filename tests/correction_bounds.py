@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longreach.estimation import ekf, update
+from longreach.estimation.planar import ekf, update
 from longreach.geometry import se2
 
 

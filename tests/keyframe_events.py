@@ -2,10 +2,10 @@
 
 import jaxtyping
 import numpy as np
+from true_motion import draw
 
-from longreach.estimation import motion
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.state import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement, TwistMeasurement
 
@@ -32,14 +32,14 @@ def noise(rng, R=SCAN):
 def events_of(rng, shares=True, scans=SCANS, every=EVERY):
     """Scans at 10 Hz against keyframes: events, the last true state, and the true pose at each scan from the first.
 
-    shares: what matches have in common is said, and a keyframe's anchor knows its match.
+    shares: what matches have in common is said, and a keyframe's clone has its match.
     """
     x, events, truth = np.zeros(13), [], [np.zeros(3)]
     x[3:6], x[6:9] = rng.normal(size=3), rng.normal(size=3) * CONFIG.acceleration_deviation
     keyframe, since = se2.retract(x[:3], noise(rng)), 0.0
     events.append(Keyframe(0.0, "lidar"))
     for i in range(1, scans + 1):
-        x, now = motion.draw(CONFIG.motion, x, 0.1, rng), 0.1 * i
+        x, now = draw(CONFIG.motion, x, 0.1, rng), 0.1 * i
         truth.append(x[:3])
         common = noise(rng, SAME * SCAN)
         z = se2.between(keyframe, se2.retract(x[:3], common + noise(rng, (1.0 - SAME) * SCAN)))

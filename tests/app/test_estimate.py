@@ -9,7 +9,7 @@ from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import estimate, sensor_mount
 from longreach.app.evaluate import Relations
 from longreach.errors import EstimationError
-from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.planar.config import FilterConfig
 from longreach.geometry import se2
 from longreach.measurement import Odometry, PoseMeasurement, Recording, WheelTicks
 from longreach.odometry.wheel import WheelConfig

@@ -6,7 +6,7 @@ import pytest
 from longreach.app.configuration import EvaluationConfig
 from longreach.app.evaluate import Relations, evaluate, evaluate_files, innovations, match_consistency
 from longreach.errors import LongreachError
-from longreach.estimation.fusion import Correction
+from longreach.estimation.planar.state import Correction
 from longreach.geometry import se2
 from longreach.io.tum import write_tum
 from longreach.measurement import RelativePoseMeasurement

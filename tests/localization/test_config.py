@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.planar.config import FilterConfig
 from longreach.localization.config import LocalizerConfig, filter_for
 from longreach.robot.description import ImuSensor, RobotDescription
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longreach.estimation import fusion
+from longreach.estimation.planar import filter as planar_filter
 from longreach.geometry import se2
 from longreach.localization.initial_pose import Fixed, from_fixes, on_map, thinned
 from longreach.measurement import PoseMeasurement, TwistMeasurement
@@ -63,9 +63,9 @@ def test_a_robot_that_stands_is_not_on_the_map_however_often_it_is_seen(rng):
 
 
 def test_the_filter_on_the_map_is_the_one_in_odom_about_another_reference(rng):
-    state = fusion.init(0.0, np.zeros(3))
+    state = planar_filter.init(0.0, np.zeros(3))
     for k in range(1, 20):
-        state, _ = fusion.step(state, TwistMeasurement(0.1 * k, np.array([0.5, 0.0, 0.3]), 1e-4 * np.eye(3)))
+        state, _ = planar_filter.step(state, TwistMeasurement(0.1 * k, np.array([0.5, 0.0, 0.3]), 1e-4 * np.eye(3)))
     local, P = state.newest, np.diag([0.01, 0.02, 0.03])
     placed = on_map(local, MOTION, P)
     pose, covariance = placed.pose

@@ -10,7 +10,7 @@ from arrivals import late, readings_of, same_rows, settled_rows
 
 from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import estimate
-from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.planar.config import FilterConfig
 from longreach.geometry import se2
 from longreach.io.config import load_description
 from longreach.localization import localizer

@@ -19,9 +19,9 @@ from longreach.app.evaluate import (
     match_consistency,
 )
 from longreach.errors import EstimationError
-from longreach.estimation import fusion
-from longreach.estimation.fusion import Correction
-from longreach.estimation.smoother import smooth
+from longreach.estimation.planar import filter as planar_filter
+from longreach.estimation.planar.smoother import smooth
+from longreach.estimation.planar.state import Correction
 from longreach.evaluation.consistency import consistency_metrics
 from longreach.geometry import se2
 from longreach.localization import localizer
@@ -170,13 +170,13 @@ def _path(rows: Sequence[Row]) -> PoseTrajectory:
 
 def _smoothed(done: _Done) -> PoseTrajectory:
     """Look back over all events; with fixes from where the start is on the map."""
-    rows, on_map, events = done.output.rows, done.output.rows_on_map, fusion.in_order(done.output.events)
+    rows, on_map, events = done.output.rows, done.output.rows_on_map, planar_filter.in_order(done.output.events)
     pose, P = np.zeros(3), None
     if on_map:
         moved = next(row.pose for row in reversed(rows) if row.stamp <= on_map[0].stamp)
         A = se2.adjoint(moved)
         pose, P = se2.compose(on_map[0].pose, se2.inverse(moved)), _WIDER**2 * A @ on_map[0].covariance @ A.T
-    return smooth(fusion.init(events[0].stamp, pose, P, done.state.now.settings), events)
+    return smooth(planar_filter.init(events[0].stamp, pose, P, done.state.now.settings), events)
 
 
 def _lidar_alone(

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from longreach.app.configuration import EvaluationConfig
 from longreach.errors import LongreachError
-from longreach.estimation.fusion import Correction
+from longreach.estimation.planar.state import Correction
 from longreach.evaluation import metrics as errors
 from longreach.evaluation.alignment import associate
 from longreach.evaluation.consistency import Consistency, PoseErrors, consistency_metrics, nees, nis, pose_errors

@@ -8,9 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EvaluationConfig
 from longreach.app.estimate import Estimate, estimate
+from longreach.app.tool_state import tool_state
 from longreach.app.tracker import Run, Tick, TrackerConfig, run
 from longreach.configuration import ConfigurationTrajectory
-from longreach.estimation.tool_state import tool_state
 from longreach.evaluation.execution import Traces
 from longreach.evaluation.tables import Metric, metric
 from longreach.measurement import Recording

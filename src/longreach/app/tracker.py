@@ -26,7 +26,7 @@ from longreach.control.safety_config import SafetyConfig, limits_of
 from longreach.control.ticker import Ticker
 from longreach.control.whole_body import WholeBodyConfig
 from longreach.errors import ControlError
-from longreach.estimation.fusion import Correction
+from longreach.estimation.planar.state import Correction
 from longreach.localization import localizer
 from longreach.localization.localizer import LocalizerState, Reading, Row
 from longreach.robot.mobile_manipulator import MobileManipulator

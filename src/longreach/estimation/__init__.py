@@ -1,1 +1,1 @@
-"""The belief over where the base is and how it moves: a planar extended Kalman filter (3.27)-(3.29) on the manifold."""
+"""State estimation: the planar filter, the filter in space, and the buffer by which both take late readings."""

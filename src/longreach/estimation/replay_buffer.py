@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from heapq import merge
 from typing import Any, NamedTuple
 
-Key = tuple[float, int, str]  # stamp [s], then what goes first at one stamp
+Key = tuple[Any, ...]  # stamp [s], then what goes first at one stamp
 
 
 class Settings(NamedTuple):
@@ -51,17 +51,15 @@ class Decided(NamedTuple):
     refused: str = ""
 
 
-Take = Callable[[Any, Key, Any], tuple[Any, Any]]
-
-
 def init(key: Key, state: Any) -> ReplayBuffer:
     """Start with a state."""
     return ReplayBuffer((Entry(key, None, state),))
 
 
 def step(
-    buffer: ReplayBuffer, events: Iterable[tuple[Key, Any]], take: Take, settings: Settings
-) -> tuple[ReplayBuffer, list[Entry], list[Decided]]:
+    buffer: ReplayBuffer, events: Iterable[tuple[Key, Any]], take: Callable[[Any, Key, Any], tuple[Any, Any]],
+    settings: Settings,
+) -> tuple[ReplayBuffer, list[Entry], list[Decided]]:  # fmt: skip
     """Take events in the order of arrival, with the same result as one call for each.
 
     take: from a state, a key and an event to the state after it and an outcome. Returns also the entries that are
@@ -105,9 +103,6 @@ def _judged(
     decided: list[Decided] = []
     waiting, newest = list(buffer.waiting), buffer.newest.key[0]
 
-    def refuse(key: Key, event: Any, reason: str) -> None:
-        decided.append(Decided(key, event, None, reason))
-
     def believe(key: Key, event: Any) -> None:
         nonlocal newest
         believed.append((key, len(decided), event))
@@ -117,15 +112,15 @@ def _judged(
     for key, event in events:
         lead = key[0] - newest
         if lead < -history:
-            refuse(key, event, f"too late: {-lead:.3f} s behind, the history goes back {history:g} s")
+            late = f"too late: {-lead:.3f} s behind, the history goes back {history:g} s"
+            decided.append(Decided(key, event, None, late))
             continue
         if newest > float("-inf") and lead > gap:
             far = bool(waiting) and abs(key[0] - max(w[0][0] for w in waiting)) > gap
             ahead, waiting = (waiting, [(key, event)]) if far else ([], [*waiting, (key, event)])
         else:
             ahead, waiting = waiting, []
-        for early in ahead:
-            refuse(*early, f"too far ahead: the longest prediction is {gap:g} s")
+        decided += [Decided(*early, None, f"too far ahead: the longest prediction is {gap:g} s") for early in ahead]
         stamps = [w[0][0] for w in waiting]
         if len(waiting) > patience and max(stamps) - min(stamps) >= history:
             for early in waiting:

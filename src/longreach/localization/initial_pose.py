@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation.ekf import CLONES, REFERENCE
-from longreach.estimation.snapshot import Snapshot
+from longreach.estimation.planar.ekf import CLONES, REFERENCE
+from longreach.estimation.planar.state import Snapshot
 from longreach.evaluation.alignment import rigid_alignment
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement

@@ -20,13 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import fusion, replay_buffer
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Correction, Event, Keyframe, PoseClone, Snapshot, Tally
-from longreach.estimation.gaussian import Belief
-from longreach.estimation.observation import planar_imu
+from longreach.estimation import replay_buffer
+from longreach.estimation.planar import filter as planar_filter
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.measurement_models import planar_imu
+from longreach.estimation.planar.state import Belief, Correction, Event, Keyframe, PoseClone, Snapshot, Tally
+from longreach.estimation.planar.update import predicted, take
 from longreach.estimation.replay_buffer import Decided, Entry, Key, ReplayBuffer
-from longreach.estimation.update import predicted, take
 from longreach.geometry import se2
 from longreach.localization import initial_pose
 from longreach.localization.config import LocalizerConfig, Source, filter_for
@@ -226,7 +226,7 @@ def _mount(sensor) -> np.ndarray:
 
 def _belief(state: LocalizerState, newest: Snapshot | None, stamp: float | None) -> Belief:
     if newest is None:
-        newest = fusion.init(0.0 if stamp is None else stamp, state.start, None, state.now.settings).newest
+        newest = planar_filter.init(0.0 if stamp is None else stamp, state.start, None, state.now.settings).newest
     if stamp is not None and stamp > newest.key[0]:
         newest = predicted(state.now.settings, newest, (stamp, 0, ""))
     return newest.belief
@@ -272,9 +272,9 @@ def _take(state: LocalizerState, before: Estimates, key: Key, reading: Reading) 
 
 
 def _started(state: LocalizerState, estimates: Estimates, stamp: float) -> Estimates:
-    local = fusion.init(stamp, state.start, None, estimates.settings).newest
+    local = planar_filter.init(stamp, state.start, None, estimates.settings).newest
     known = state.start_on_map
-    global_ = None if known is None else fusion.init(stamp, *known, estimates.settings).newest
+    global_ = None if known is None else planar_filter.init(stamp, *known, estimates.settings).newest
     return estimates._replace(local=local, global_=global_)
 
 

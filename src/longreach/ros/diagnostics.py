@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from longreach.estimation.fusion import Correction
+from longreach.estimation.planar.state import Correction
 from longreach.io import messages
 from longreach.ros import wire
 from longreach.ros.sensors import Sensors
@@ -53,9 +53,9 @@ class Diagnostics:
         if elapsed < _PERIOD:
             return
         types = wire.message_types()
-        told = [_status(types, name, tally, elapsed) for name, tally in self._tallies.items()]
-        told.append(_unread(types, self._sensors))
-        self._publisher.send(types[_ARRAY](messages.header(types, wire.now(), ""), told))
+        statuses = [_status(types, name, tally, elapsed) for name, tally in self._tallies.items()]
+        statuses.append(_unread(types, self._sensors))
+        self._publisher.send(types[_ARRAY](messages.header(types, wire.now(), ""), statuses))
         self._tallies = defaultdict(
             Tally, {name: Tally() for name in self._tallies}
         )  # who was heard once may be missed

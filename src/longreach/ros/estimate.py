@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EstimateConfig
 from longreach.app.tracker import sensed
-from longreach.estimation.gaussian import Belief
+from longreach.estimation.planar.state import Belief
 from longreach.geometry import se2
 from longreach.io import messages
 from longreach.io.bag_topics import ODOMETRY
@@ -47,7 +47,7 @@ class NodeConfig(BaseModel):
 
 
 def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
-    """Estimate until the node is told to end.
+    """Estimate until the node is ended.
 
     Raises:
         LiveError: rospy is not there, or no master answers.
@@ -56,8 +56,8 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
     config = config or NodeConfig()
     wire.start_node("longreach_estimate")
     sensors = Sensors(robot, config.estimate.sources or _SOURCES)
-    unplaced = any(sensor is None or sensor.mount is None for sensor in (robot.lidar, robot.imu))
-    estimator = Estimator(robot, config.estimate, Mounts() if unplaced else None)
+    without_mount = any(sensor is None or sensor.mount is None for sensor in (robot.lidar, robot.imu))
+    estimator = Estimator(robot, config.estimate, Mounts() if without_mount else None)
     out, health = _Outputs(config), Diagnostics(sensors)
     with wire.running() as goes_on:
         while goes_on():

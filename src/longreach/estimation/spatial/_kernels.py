@@ -29,7 +29,7 @@ N = 15
 USED, GATED, REFUSED = 1, 2, 3
 _STEEP = 1e-3  # |cos(pitch)| is taken to be no less than this in E
 _PLANAR = np.array([2, 3, 4, 8, 9, 10, 14])  # what two_d_mode holds at zero
-_PLANAR_VARIANCE = 1e-6  # as in robot_localization
+_PLANAR_ROWS = np.eye(N)[_PLANAR], 1e-6 * np.eye(7)  # H, and R as in robot_localization
 _UNKNOWN = 1e6  # times the variance of what is measured first
 
 
@@ -39,7 +39,7 @@ def work_room():
     correction = ((7, N), (7, N), (7, 7), (7, 7), (7, N))
     comparison = (7, (7, 12), (6, 6), (6, 6))
     a, b, c = (tuple(np.zeros(shape) for shape in part) for part in (prediction, correction, comparison))
-    return a, b, (*c, np.eye(N)[_PLANAR], _PLANAR_VARIANCE * np.eye(7))
+    return a, b, (*c, *_PLANAR_ROWS)
 
 
 @kernel(entry=True)

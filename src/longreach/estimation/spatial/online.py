@@ -4,32 +4,31 @@ The steps are those over a whole recording (`batch`). It differs from that only 
 lever arm, and by predicting through a silence in one step.
 """
 
-from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from longreach.estimation import replay_buffer
+from longreach.estimation.replay_buffer import Key, ReplayBuffer
 from longreach.estimation.spatial import _kernels as kernels
 from longreach.estimation.spatial.rows import rows_of
 from longreach.spatial_measurement import Reading, SpatialRecording
 from longreach.spatial_settings import SpatialSettings
 
-_PATIENCE = 10  # readings ahead of the filter, with none nearer in between, before the next is believed
+_PATIENCE = 10  # readings ahead of the filter, with none nearer in between, before they are believed with the next
 
 
-@dataclass(frozen=True, eq=False)
-class _Snapshot:
+class _Snapshot(NamedTuple):
     """The filter after a reading; `taken` is when it last corrected, `seen` the first and the last of each source."""
 
-    key: tuple[float, str, str]
     taken: float
-    reading: Reading | None
-    mean: Float[np.ndarray, "15"]
-    covariance: Float[np.ndarray, "15 15"]
-    bare: Float[np.ndarray, "15 15"]
+    mean: np.ndarray
+    covariance: np.ndarray
+    bare: np.ndarray
     seen: Mapping[tuple[str, str], tuple[Reading, ...]]
     rates: tuple[float, np.ndarray, np.ndarray]  # since when, those then, and how they change
 
@@ -42,25 +41,24 @@ class SpatialState:
     frames: SpatialRecording
     model: tuple[Any, ...]
     control: tuple[Any, ...]
-    history: tuple[_Snapshot, ...]
+    buffer: ReplayBuffer
     late: int = 0
     ahead: int = 0
-    waiting: int = 0
 
     @property
     def stamp(self) -> float:
         """Of the newest reading [s]; -inf before the first."""
-        return self.history[-1].key[0]
+        return self.buffer.newest.key[0]
 
     @property
     def mean(self) -> Float[np.ndarray, "15"]:
         """The state after the newest correction."""
-        return self.history[-1].mean
+        return self.buffer.newest.state.mean
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
         """Of the state."""
-        return self.history[-1].covariance
+        return self.buffer.newest.state.covariance
 
 
 def init(settings: SpatialSettings, frames: SpatialRecording) -> SpatialState:
@@ -69,8 +67,8 @@ def init(settings: SpatialSettings, frames: SpatialRecording) -> SpatialState:
     lead = 0.0 if s.as_robot_localization else 0.5  # as robot_localization does it, orientation lags a step behind
     model = (s.process_noise.copy(), lead, s.as_robot_localization, s.filter == "ukf", s.alpha, s.kappa)
     model += (s.dynamic_process_noise, s.two_d_mode)
-    first = _Snapshot((-np.inf, "", ""), -np.inf, None, s.initial_state.copy(), P, P, {}, (-np.inf, still, still))
-    return SpatialState(s, frames, model, _control(frames, s), (first,))
+    first = _Snapshot(-np.inf, s.initial_state.copy(), P, P, {}, (-np.inf, still, still))
+    return SpatialState(s, frames, model, _control(frames, s), replay_buffer.init((-np.inf, "", ""), first))
 
 
 def _control(frames: SpatialRecording, s: SpatialSettings) -> tuple[Any, ...]:
@@ -85,42 +83,30 @@ def _control(frames: SpatialRecording, s: SpatialSettings) -> tuple[Any, ...]:
 
 def step(state: SpatialState, reading: Reading) -> SpatialState:
     """Take one reading, up to `settings.history` seconds late; one further ahead waits to be confirmed by others."""
-    lead, span = reading.stamp - state.stamp, state.settings.history
-    started = len(state.history) > 1
-    if started and -lead > span:
-        return replace(state, late=state.late + 1)
-    if started and lead > max(span, state.settings.sensor_timeout) and state.waiting < _PATIENCE:
-        return replace(state, ahead=state.ahead + 1, waiting=state.waiting + 1)
-    place = bisect(state.history, _key(reading), lo=1, key=lambda snapshot: snapshot.key)
-    history = list(state.history[:place])
-    for each in (reading, *(snapshot.reading for snapshot in state.history[place:])):
-        assert each is not None
-        history.append(_take(state, history[-1], each))
-    first = bisect(history, history[-1].key[0] - span, lo=1, key=lambda snapshot: snapshot.key[0]) - 1
-    return replace(state, history=tuple(history[min(first, len(history) - 2) :]), waiting=0)
+    span = state.settings.history
+    limits = replay_buffer.Settings(span, max(span, state.settings.sensor_timeout), _PATIENCE)
+    key = (reading.stamp, reading.source, type(reading).__name__)
+    buffer, _, decided = replay_buffer.step(state.buffer, [(key, reading)], partial(_take, state), limits)
+    late = [bool(one.key[0] < state.stamp) for one in decided if one.refused]
+    return replace(state, buffer=buffer, late=state.late + sum(late), ahead=state.ahead + len(late) - sum(late))
 
 
 def predict(state: SpatialState, stamp: float) -> tuple[Float[np.ndarray, "15"], Float[np.ndarray, "15 15"]]:
     """Return mean and covariance as they will be at a stamp not before the filter's [s]; the filter stays as it is."""
-    x, P, taken = state.mean.copy(), state.covariance.copy(), state.history[-1].taken
+    x, P, taken = state.mean.copy(), state.covariance.copy(), state.buffer.newest.state.taken
     if -np.inf < taken < stamp:
         kernels.advance(x, P, stamp, stamp - taken, state.model, state.control, kernels.work_room())
     return x, P
 
 
-def _key(reading: Reading) -> tuple[float, str, str]:
-    return reading.stamp, reading.source, type(reading).__name__
-
-
-def _take(state: SpatialState, before: _Snapshot, reading: Reading) -> _Snapshot:
+def _take(state: SpatialState, before: _Snapshot, key: Key, reading: Reading) -> tuple[_Snapshot, None]:
     """Predict to a reading, and correct by it; a differential pose needs the one before it."""
-    key = _key(reading)
     t, source = key[0], key[1:]
     earlier = before.seen.get(source, ())
     seen = {**before.seen, source: (*earlier[:1], reading)}
     rows = rows_of([*earlier, reading], state.frames, state.settings)
     if not rows or rows[0].stamps[-1] != t:
-        return replace(before, key=key, reading=reading, seen=seen)
+        return before._replace(seen=seen), None
     x, P, room = before.mean.copy(), before.covariance.copy(), kernels.work_room()
     room[0][0][:] = before.bare
     r = rows[0]
@@ -131,4 +117,4 @@ def _take(state: SpatialState, before: _Snapshot, reading: Reading) -> _Snapshot
     kernels.step(x, P, before.taken, t, row, turning, state.model, state.control, room)
     if t - since >= 1.0 / state.settings.frequency:
         since, rates, turning = t, x[9:12].copy(), (x[9:12] - rates) / (t - since)
-    return _Snapshot(key, t, reading, x, P, room[0][0], seen, (since, rates, turning))
+    return _Snapshot(t, x, P, room[0][0], seen, (since, rates, turning)), None

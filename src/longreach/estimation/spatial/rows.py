@@ -19,6 +19,7 @@ from longreach.spatial_settings import Mask, SensorSettings, SpatialSettings
 
 _LEAST_VARIANCE = 1e-9  # in place of zero, which messages leave where they know none; as robot_localization
 _SEEN = 1e-6  # a smaller part of a masked value in a value of the base is rounding; as robot_localization
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)  # l @ it: the rows l × x, l × y, l × z
 _UPRIGHT = np.array([2, 3, 4])  # z, roll, pitch of a block of six, or vz, vroll, vpitch: none in two_d_mode
 
 
@@ -155,7 +156,7 @@ def _twist(sensor: SensorSettings, given: list[TwistReading], world: SpatialReco
         return _Measured(6, stamps, z, np.repeat(halves, 3, axis=1), *_in_base(mask, turn, C), lever)
     H = np.zeros_like(C)
     H[:, :3, :3] = H[:, 3:, 3:] = np.swapaxes(turn, 1, 2)
-    H[:, :3, 3:] = H[:, :3, :3] @ np.cross(lever[:, None], np.eye(3))  # ω × l
+    H[:, :3, 3:] = H[:, :3, :3] @ (lever @ _CROSS).reshape(-1, 3, 3)  # ω × l
     z = np.linalg.solve(H, twist[:, :, None])[:, :, 0]
     return _Measured(6, stamps, z, known, mask, H, C, lever)
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _noise_kernels
+from longreach.estimation.planar import _measurement_kernels as kernels
+from longreach.estimation.planar.ekf import frozen
 
 _FIRST = 20.0  # information that the stated covariance itself counts for, in measurements of one component
 
@@ -33,16 +34,10 @@ class Noise(NamedTuple):
     @property
     def deviations(self) -> Float[np.ndarray, "3"]:
         """What the factors make of the standard deviations of x, y and θ (3,)."""
-        return self.row[_noise_kernels.DEVIATIONS :]
+        return self.row[kernels.DEVIATIONS :]
 
 
-def _noise(*parts: np.ndarray) -> Noise:
-    row = np.concatenate(parts)
-    row.flags.writeable = False
-    return Noise(row)
-
-
-NOMINAL = _noise(np.zeros(2), np.full(2, _FIRST), np.ones(3))
+NOMINAL = Noise(frozen(np.repeat([0.0, _FIRST, 1.0], [2, 2, 3])))
 
 
 def process_noise(source: str) -> str:
@@ -52,8 +47,9 @@ def process_noise(source: str) -> str:
 
 def inflated(noise: Noise, factors: Float[np.ndarray, "2"]) -> Noise:
     """Return a noise whose variances are these factors larger, as far as they may, and soon judged anew."""
-    log = np.minimum(noise.log + np.log(factors), _noise_kernels.HIGHEST)
-    return _noise(log, np.where(factors > 1.0, _FIRST, noise.row[2:4]), np.exp(0.5 * log)[[0, 0, 1]])
+    log = np.minimum(noise.log + np.log(factors), kernels.HIGHEST)
+    information = np.where(factors > 1.0, _FIRST, noise.row[2:4])
+    return Noise(frozen(np.concatenate([log, information, np.exp(0.5 * log)[[0, 0, 1]]])))
 
 
 def scaled(covariance: Float[np.ndarray, "k k"], deviations: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:

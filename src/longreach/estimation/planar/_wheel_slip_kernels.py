@@ -1,6 +1,6 @@
 """Compiled slip: learned from corrections of the pose, and the way that it makes.
 
-What is known of a slip are rows (7, 3), by axis, in the order of the names below, and numbers beside; see `slip.Slip`.
+What is known of a slip are rows (7, 3), by axis, in the order of the names below, and numbers: see `wheel_slip.Slip`.
 """
 
 import math

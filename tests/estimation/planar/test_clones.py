@@ -5,11 +5,13 @@ import pytest
 from jacobians import assert_is_jacobian
 from scipy.linalg import block_diag
 from scipy.stats import chi2
+from true_motion import draw
 
-from longreach.estimation import ekf, motion
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Clone, PoseClone, init, step
-from longreach.estimation.motion import WheelModel
+from longreach.estimation.planar import ekf
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import init, step
+from longreach.estimation.planar.motion_model import WheelModel
+from longreach.estimation.planar.state import Clone, PoseClone
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
@@ -77,7 +79,7 @@ def test_wheels_alone_move_the_pose_as_they_say(rng):
 def test_a_clone_is_the_pose_and_carrying_it_back_changes_nothing(rng):
     mean, P = rng.normal(size=16), spd(rng, 16)
     P[10:13] = P[:, 10:13] = mean[10:13] = 0.0
-    mean, P = ekf.chosen(mean, P, ekf.cloning(16, 16))
+    mean, P = ekf.chosen(mean, P, ekf.copying(19, 0, 16))
     np.testing.assert_array_equal(mean[16:], mean[:3])
     np.testing.assert_array_equal(P[16:, :], P[:3, :])
     z = np.array([0.5, -0.3, 1.2])
@@ -94,7 +96,7 @@ def drive(rng, n=40):
 
 
 def clone_in_world(state):
-    mean = state.history[-1].mean
+    mean = state.newest.mean
     return se2.compose(mean[13:16], mean[16:19])
 
 
@@ -104,7 +106,7 @@ def start(config=NO_GATE):
 
 @pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 2e-3), (0.1, 2e-5), (0.01, 2e-7)])
 def test_readings_without_error_are_steps_from_clone_to_clone(rng, scale, tolerance):
-    """Two roads: the clone carried along by the steps, or placed anew after each; to first order they are one."""
+    """Two roads: the clone carried along by the steps, or cloned anew after each; to first order they are one."""
     config = NO_GATE.model_copy(
         update={"acceleration_deviation": (scale,) * 3, "initial_twist_deviation": (scale,) * 3}
     )
@@ -120,8 +122,8 @@ def test_readings_without_error_are_steps_from_clone_to_clone(rng, scale, tolera
         cloned, _ = step(cloned, PoseClone(now, "wheels"))
         assert (a.status, b.status) == ("used", "used")
         assert a.nis == pytest.approx(b.nis, rel=1e-2, abs=1e-6)
-        assert carried.clones["wheels"] == cloned.clones["wheels"] == Clone(0, now)
-    mean, other = carried.history[-1].mean, cloned.history[-1].mean
+        assert carried.newest.clones["wheels"] == cloned.newest.clones["wheels"] == Clone(16, now)
+    mean, other = carried.newest.mean, cloned.newest.mean
     np.testing.assert_allclose(se2.difference(carried.belief.pose, cloned.belief.pose), 0.0, atol=tolerance)
     np.testing.assert_allclose(mean[3:10], other[3:10], atol=10 * tolerance)
     np.testing.assert_allclose(
@@ -160,7 +162,7 @@ def test_the_filter_on_wheels_is_as_wrong_as_it_says(rng):
         state, _ = step(state, PoseClone(0.0, "wheels"))
         counted = x[:3]
         for _ in range(20):
-            x, now = motion.draw(config.motion, x, 0.1, rng), now + 0.1
+            x, now = draw(config.motion, x, 0.1, rng), now + 0.1
             reading = se2.retract(x[:3], -np.linalg.cholesky(READING) @ rng.normal(size=3))
             z = se2.retract(se2.between(counted, reading), -np.linalg.cholesky(STEP) @ rng.normal(size=3))
             counted = reading
@@ -183,29 +185,29 @@ def test_after_a_fix_the_wheels_go_on_from_there(rng):
     )
 
 
-@pytest.mark.parametrize("placed", [None, 0.0])
-def test_a_reading_without_a_clone_at_its_start_is_refused(placed):
+@pytest.mark.parametrize("cloned", [None, 0.0])
+def test_a_reading_without_a_clone_at_its_start_is_refused(cloned):
     state = start()
-    if placed is not None:
-        state, _ = step(state, PoseClone(placed, "wheels"))
-    before = state.history[-1]
+    if cloned is not None:
+        state, _ = step(state, PoseClone(cloned, "wheels"))
+    before = state.newest
     state, correction = step(state, RelativePoseMeasurement(0.05, 0.1, np.zeros(3), STEP, "wheels", READING))
     assert correction.status == "refused"
     assert "where wheels has no pose clone" in correction.reason
-    assert state.clones == before.clones
-    assert state.counters["wheels"].refused == 1
+    assert state.newest.clones == before.clones
+    assert state.tallies["wheels"].refused == 1
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_reading_that_is_not_finite_moves_neither_the_pose_nor_the_clone(bad):
     state, _ = step(start(), PoseClone(0.0, "wheels"))
-    before = state.history[-1].mean[16:]
+    before = state.newest.mean[16:]
     state, correction = step(
         state, RelativePoseMeasurement(0.0, 0.1, np.array([bad, 0.0, 0.0]), STEP, "wheels", READING)
     )
     assert correction.status == "refused"
-    np.testing.assert_array_equal(state.history[-1].mean[16:], before)
-    assert state.clones["wheels"] == Clone(0, 0.0)
+    np.testing.assert_array_equal(state.newest.mean[16:], before)
+    assert state.newest.clones["wheels"] == Clone(16, 0.0)
 
 
 def test_a_late_reading_gives_what_it_gives_in_order(rng):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from keyframe_events import unchecked
 
-from longreach.estimation.fault_detection import bias_jumps_found
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, PoseClone, in_order, init, step, steps
-from longreach.estimation.observation import PlanarImu
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.fault_detection import bias_jumps_found
+from longreach.estimation.planar.filter import in_order, init, step, steps
+from longreach.estimation.planar.measurement_models import PlanarImu
+from longreach.estimation.planar.state import Keyframe, PoseClone
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
 
@@ -28,8 +29,8 @@ def drive(rng, wheels=lambda i, z: z, scans=lambda i, z: z, gyro=None, moved=Non
         if moved is not None and i == moved[0]:
             x = se2.compose(x, moved[1])
         truth.append(x)
-        told = wheels(i, se2.retract(z, np.sqrt(np.diag(STEP)) * rng.normal(size=3)))
-        events.append(RelativePoseMeasurement(before, now, told, STEP, "wheels", reading))
+        counted = wheels(i, se2.retract(z, np.sqrt(np.diag(STEP)) * rng.normal(size=3)))
+        events.append(RelativePoseMeasurement(before, now, counted, STEP, "wheels", reading))
         if gyro is not None:
             events.append(PlanarImu(now, 0.2 + gyro(i) + 0.01 * rng.normal(), None, np.zeros(2), 1e-4))
         if i % 2 == 0:
@@ -60,7 +61,7 @@ def test_wheels_that_slip_do_not_carry_the_estimate_off(rng):
     errors, state = unchecked(errors_of, *drive(rng, wheels=spinning))
     assert errors[:, 0].max() < 0.1
     assert errors[110:, 0].max() < 0.02
-    assert np.all(np.isfinite(state.history[-1].P))
+    assert np.all(np.isfinite(state.newest.P))
 
 
 @pytest.mark.parametrize("leads", [True, False])
@@ -69,10 +70,10 @@ def test_steps_after_a_slip_are_as_noisy_as_those_that_slipped(leads):
     state, _ = steps(init(0.0, np.zeros(3), None, config), [PoseClone(0.0, "wheels"), Keyframe(0.0, "lidar")])
     for i in range(2):
         state, _ = step(state, RelativePoseMeasurement(0.05 * i, 0.05 * i + 0.05, np.zeros(3), STEP, "wheels", READING))
-        assert "wheels, steps" not in state.history[-1].noise
+        assert "wheels, steps" not in state.newest.noise
     off = np.array([0.0, 9e-3, 0.0])  # six deviations of two steps
     state, _ = step(state, RelativePoseMeasurement(0.0, 0.1, off, SCAN, "lidar", None, SCAN))
-    log = state.history[-1].noise["wheels, steps"].log
+    log = state.newest.noise["wheels, steps"].log
     assert log[0] > 0.5
     assert (log[1] > 0.3) == leads
 
@@ -90,8 +91,8 @@ def test_a_reading_that_hangs_is_passed_over_and_the_next_has_the_whole_way(rng)
     errors, state = unchecked(errors_of, events, truth)
     assert errors[:, 0].max() < 0.02
     assert errors[:, 1].max() < 0.02
-    assert state.counters["wheels"].gated == 16
-    assert state.counters["lidar"].inflated == 0
+    assert state.tallies["wheels"].gated == 16
+    assert state.tallies["lidar"].inflated == 0
 
 
 def test_a_base_that_stops_has_stopped(rng):
@@ -151,19 +152,19 @@ def test_nan_is_refused_and_the_estimate_goes_on(rng, source):
     errors, state = unchecked(errors_of, *drive(rng, **{source: broken}))
     assert np.all(np.isfinite(errors))
     assert errors[:, 0].max() < 0.05
-    assert state.counters["wheels" if source == "wheels" else "lidar"].refused >= 1
+    assert state.tallies["wheels" if source == "wheels" else "lidar"].refused >= 1
 
 
 def test_without_a_gate_nobody_is_blamed(rng):
     config = FilterConfig(**(CONFIG.model_dump() | {"gate_mode": "none"}))
     errors, state = unchecked(errors_of, *drive(rng, moved=(90, np.array([0.8, -0.5, 0.6]))), config)
-    assert state.history[-1].streaks == {}
-    assert state.history[-1].drift == 0.0
+    assert state.newest.streaks == {}
+    assert state.newest.drift == 0.0
     assert np.all(np.isfinite(errors))
 
 
 def test_a_jump_of_the_gyros_bias_is_found_in_four_headings_and_none_in_white_noise(rng):
-    start = init(0.0, np.zeros(3), None, CONFIG).history[-1]
+    start = init(0.0, np.zeros(3), None, CONFIG).newest
 
     def first_jump(headings):
         now = start

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from longreach.estimation.tool_state import tool_state
+from longreach.app.tool_state import tool_state
 from longreach.geometry import se2, se3, so3
 
 

@@ -12,11 +12,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from longreach.estimation import _cholesky_kernels, _clone_kernels, ekf
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import NOMINAL, inflated, process_noise
-from longreach.estimation.observation import Measurement, Observation
-from longreach.estimation.snapshot import Snapshot, Streak
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar import ekf
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.measurement_models import Measurement, Observation
+from longreach.estimation.planar.noise_adaptation import NOMINAL, inflated, process_noise
+from longreach.estimation.planar.state import Snapshot, Streak
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
@@ -32,20 +33,14 @@ _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
 
 def faults_found(
-    config: FilterConfig,
-    now: Snapshot,
-    measurement: Measurement,
-    observation: Observation,
-    judged: ekf.Corrected,
-    gate: float,
-    at: int,
-) -> Snapshot:
+    config: FilterConfig, now: Snapshot, measurement: Measurement, observation: Observation, judged: ekf.Corrected,
+    gate: float, at: int,
+) -> Snapshot:  # fmt: skip
     """Where an innovation is beyond the gate, widen what may be wrong with what was believed, before the source is.
 
-    First the steps of the wheels: they slip, by ten times what their steps are usually wrong by. Where that does not
-    do, and a source says again and again that the pose is off by the same, then the source is right: against a fix the
-    reference was laid wrong, else the base has been moved, or the source is wrong in a way that lasts, which nothing
-    tells apart; so the reference may be off by as much from now on.
+    First the steps of the wheels, as slip. Where that does not suffice, and a source says again and again that the pose
+    is off by the same, then the source is right: against a fix the reference is wrong, else the base has been moved, or
+    the source is wrong in a way that lasts. Nothing distinguishes these, so the reference may be off by as much.
     """
     (r, H, _, _), S, source = observation, judged.S, measurement.source
     if not (isinstance(measurement, PoseMeasurement | RelativePoseMeasurement) and gate < judged.nis < math.inf):
@@ -57,7 +52,7 @@ def faults_found(
         M, Q = moving(now, wheels, source, at), np.sum(added, axis=0) + _SMALLEST
         HM = H @ M
         for s in _SLIPS:
-            if _cholesky_kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
+            if kernels.squared_norm(S + s * HM @ Q @ HM.T, r) <= gate:
                 wide = now._replace(P=widened(now.P, M, s * Q), streaks=streaks)
                 return wide if source == wheels else _slipped(config, wide, wheels, s)
     if source in now.steps:
@@ -77,7 +72,7 @@ def faults_found(
 
 
 def _slipped(config: FilterConfig, now: Snapshot, wheels: str, s: float) -> Snapshot:
-    """Let steps to come be as noisy as those that slipped, until innovations tell otherwise; a bump does not last."""
+    """Let steps to come be as noisy as those that slipped, until innovations show otherwise; a bump does not last."""
     if config.noise_memory == 0.0 or s > _LASTING:
         return now
     name, coupled = process_noise(wheels), config.wheels.coupled
@@ -88,23 +83,21 @@ def _slipped(config: FilterConfig, now: Snapshot, wheels: str, s: float) -> Snap
 def moving(now: Snapshot, wheels: str, source: str, at: int) -> np.ndarray:
     """Return how an error of the pose (3,), which wheel odometry has made, is in the whole state (n, 3).
 
-    Where the wheels' own reading tells, the error is their clone's alone.
+    Where the wheels' own reading shows it, the error is their clone's alone.
     """
     M = np.zeros((len(now.mean), 3))
     if wheels != source:
         M[:3] = M[at : at + 3] = _EYE
     if wheels in now.clones:
-        i = now.place(now.clones[wheels].number)
-        _clone_kernels.as_clone(now.mean, i, M[i : i + 3])
+        i = now.clones[wheels].at
+        kernels.as_clone(now.mean, i, M[i : i + 3])
     return M
 
 
 def widened(P: np.ndarray, M: np.ndarray, Q: np.ndarray) -> np.ndarray:
     """Return P + M Q Mᵀ."""
     P = P + M @ Q @ M.T
-    P = 0.5 * (P + P.T)
-    P.flags.writeable = False
-    return P
+    return ekf.frozen(0.5 * (P + P.T))
 
 
 def _without(streaks: Mapping[str, Streak], source: str) -> dict[str, Streak]:
@@ -114,7 +107,7 @@ def _without(streaks: Mapping[str, Streak], source: str) -> dict[str, Streak]:
 def bias_jumps_found(config: FilterConfig, now: Snapshot, innovation: float, variance: float) -> Snapshot:
     """Where headings are off to one side again and again, let the gyro's bias have jumped.
 
-    innovation [rad]: of a heading, N(0, variance) and white where the filter is right. Their cumulative sum tells a
+    innovation [rad]: of a heading, N(0, variance) and white where the filter is right. Their cumulative sum detects a
     jump as soon as can be (Page 1954).
     """
     if not variance > 0.0:
@@ -125,5 +118,4 @@ def bias_jumps_found(config: FilterConfig, now: Snapshot, innovation: float, var
         return now._replace(drift=drift)
     P = now.P.copy()
     P[9, 9] += (_STEP * config.initial_gyro_bias_deviation) ** 2
-    P.flags.writeable = False
-    return now._replace(P=P, drift=0.0)
+    return now._replace(P=ekf.frozen(P), drift=0.0)

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
-from longreach.estimation import _kernels, ekf, replay_buffer
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, PoseClone, init, step
-from longreach.estimation.motion import MotionModel
-from longreach.estimation.observation import PlanarImu, observe
+from longreach.estimation import replay_buffer
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar import ekf
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import init, step
+from longreach.estimation.planar.measurement_models import PlanarImu, observe
+from longreach.estimation.planar.motion_model import MotionModel
+from longreach.estimation.planar.state import Keyframe, PoseClone
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
 
@@ -35,19 +38,19 @@ def textbook_chain(dt, variance, tau=0.5):
 
 def test_covariance_stays_symmetric_positive_definite_over_random_steps(rng):
     mean, P = np.zeros(16), spd(rng, 16, 0.3)
-    placed = -1
+    cloned = -1
     for k in range(10_000):
         mean, P = ekf.predict(MODEL, mean, P, float(10.0 ** rng.uniform(-4, 0.3)))
         if k == 100:
-            mean, P = ekf.chosen(mean, P, ekf.cloning(16, 16))
-            placed = k
-        kind = k % 4 if placed >= 0 else k % 3
+            mean, P = ekf.chosen(mean, P, ekf.copying(19, 0, 16))
+            cloned = k
+        kind = k % 4 if cloned >= 0 else k % 3
         R3 = spd(rng, 3, 10.0 ** rng.uniform(-4, 0))
         measurement = (
             TwistMeasurement(0.0, mean[3:6] + rng.normal(size=3) * 0.1, R3),
             PoseMeasurement(0.0, se2.compose(mean[13:16], mean[:3]) + rng.normal(size=3) * 0.1, R3),
             PlanarImu(0.0, 0.1, rng.normal(size=2) * 0.1, np.array([0.2, -0.3]), 1e-4, R3[:2, :2]),
-            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if placed >= 0 else np.zeros(3), R3),
+            RelativePoseMeasurement(0.0, 0.0, se2.between(mean[16:19], mean[:3]) if cloned >= 0 else np.zeros(3), R3),
         )[kind]
         (r, H, R, _), fault = observe(mean, measurement, *((16,) if kind == 3 else ()))
         assert not fault
@@ -97,7 +100,7 @@ def test_without_rotation_it_is_the_linear_kalman_filter(rng):
         x, P = x + K @ innovation, (np.eye(6) - K @ H) @ P
         assert correction.nis == pytest.approx(innovation @ np.linalg.solve(S, innovation), rel=1e-6)
         order = [0, 3, 6, 1, 4, 7]
-        world = np.concatenate([state.belief.pose, state.history[-1].mean[3:]])
+        world = np.concatenate([state.belief.pose, state.newest.mean[3:]])
         np.testing.assert_allclose(world[order], x, atol=1e-7)
         np.testing.assert_allclose(state.belief.covariance[np.ix_(order, order)], P, rtol=1e-6, atol=1e-9)
 
@@ -157,7 +160,7 @@ def test_two_matches_to_one_keyframe_share_its_error():
         information += np.outer(J, J) / variance
         vector += J * z / variance
     P, x = np.linalg.inv(information), np.linalg.solve(information, vector)
-    last = state.history[-1]
+    last = state.newest
     assert state.belief.pose[0] == pytest.approx(x[6], abs=1e-7)
     assert state.belief.covariance[0, 0] == pytest.approx(P[6, 6], rel=1e-6)
     keyframe, i = np.zeros(len(last.mean)), [13, 16]  # the fix corrects the keyframe too: the reference, and the clone
@@ -217,7 +220,7 @@ def test_errors_are_carried_to_the_frame_of_the_new_mean(rng):
     """An error ξ of a pose, seen from X · exp(dx), is Ad(exp(-dx)) ξ; the rest stays as it is."""
     mean, dx = rng.normal(size=16), 0.5 * rng.normal(size=16)
     G = np.empty((16, 16))
-    new = _kernels.retract(mean, dx, G)
+    new = kernels.retract(mean, dx, G)
     xi = 1e-6 * rng.normal(size=16)
     for i in (0, 13):
         moved = se2.compose(se2.retract(mean[i : i + 3], xi[i : i + 3]), se2.exp(dx[i : i + 3]))

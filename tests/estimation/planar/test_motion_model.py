@@ -4,24 +4,26 @@ import numpy as np
 import pytest
 from jacobians import assert_is_jacobian
 from scipy.linalg import expm
+from true_motion import draw
 
-from longreach.estimation import _kernels, ekf, motion
-from longreach.estimation.filter_config import FilterConfig
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar import ekf, motion_model
+from longreach.estimation.planar.config import FilterConfig
 from longreach.geometry import se2
 
-MODEL = motion.MotionModel(0.5, np.array([1.0, 0.7, 2.0]) ** 2, 1e-3)
+MODEL = motion_model.MotionModel(0.5, np.array([1.0, 0.7, 2.0]) ** 2, 1e-3)
 
 
 def chain(dt, tau):
-    f, g, e, q = _kernels.singer(float(dt), float(tau))
+    f, g, e, q = kernels.singer(float(dt), float(tau))
     return (
         np.array([[1.0, dt, f], [0.0, 1.0, g], [0.0, 0.0, e]]),
         np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]]),
     )
 
 
-def random_mean(rng, anchors=0):
-    mean = rng.normal(size=13 + 3 * anchors)
+def random_mean(rng, clones=0):
+    mean = rng.normal(size=13 + 3 * clones)
     mean[5] *= 2.0
     return mean
 
@@ -59,18 +61,24 @@ def test_unmeasured_acceleration_keeps_its_stationary_variance():
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0])
-@pytest.mark.parametrize("anchors", [0, 2])
-def test_the_transition_jacobian_is_its_derivative(rng, dt, anchors):
-    mean = random_mean(rng, anchors)
-    _, F, _ = motion.transition(MODEL, mean, dt)
+@pytest.mark.parametrize("clones", [0, 2])
+def test_the_transition_jacobian_is_its_derivative(rng, dt, clones):
+    mean = random_mean(rng, clones)
+    _, F, _ = motion_model.transition(MODEL, mean, dt)
     assert_is_jacobian(
-        lambda x: motion.transition(MODEL, x, dt)[0], F, mean, motion.retract, difference, atol=2e-6, step=1e-5
+        lambda x: motion_model.transition(MODEL, x, dt)[0],
+        F,
+        mean,
+        motion_model.retract,
+        difference,
+        atol=2e-6,
+        step=1e-5,
     )
 
 
 def test_no_time_changes_nothing(rng):
     mean = random_mean(rng, 1)
-    new, F, Q = motion.transition(MODEL, mean, 0.0)
+    new, F, Q = motion_model.transition(MODEL, mean, 0.0)
     np.testing.assert_array_equal(new, mean)
     np.testing.assert_allclose(F, np.eye(16), atol=1e-15)
     np.testing.assert_array_equal(Q, 0.0)
@@ -79,15 +87,15 @@ def test_no_time_changes_nothing(rng):
 def test_constant_twist_moves_along_the_exponential(rng):
     mean = random_mean(rng)
     mean[6:9] = 0.0
-    new, _, _ = motion.transition(MODEL, mean, 1.7)
+    new, _, _ = motion_model.transition(MODEL, mean, 1.7)
     np.testing.assert_allclose(new[:3], se2.retract(mean[:3], 1.7 * mean[3:6]), atol=1e-14)
     np.testing.assert_array_equal(new[3:], mean[3:])
 
 
 def test_draws_spread_as_the_process_noise_says(rng):
     mean, dt = random_mean(rng), 0.1
-    new, _, Q = motion.transition(MODEL, mean, dt)
-    errors = np.array([difference(new, motion.draw(MODEL, mean, dt, rng)) for _ in range(4000)])
+    new, _, Q = motion_model.transition(MODEL, mean, dt)
+    errors = np.array([difference(new, draw(MODEL, mean, dt, rng)) for _ in range(4000)])
     np.testing.assert_array_equal(errors[:, 10:], 0.0)
     L = np.linalg.cholesky(Q[:10, :10])
     whitened = np.linalg.solve(L, errors[:, :10].T)

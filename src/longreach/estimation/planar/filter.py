@@ -13,42 +13,21 @@ from jaxtyping import Float
 
 from longreach.errors import EstimationError
 from longreach.estimation import replay_buffer
-from longreach.estimation.ekf import CLONES, REFERENCE, SCALE
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.gaussian import Belief
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.ekf import CLONES, REFERENCE, SCALE
+from longreach.estimation.planar.state import Belief, Correction, Event, PoseClone, Snapshot, Tally
+from longreach.estimation.planar.update import take
 from longreach.estimation.replay_buffer import Key, ReplayBuffer
-from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, PoseClone, Snapshot, Tally
-from longreach.estimation.update import predicted, take
 from longreach.measurement import RelativePoseMeasurement
-
-__all__ = [
-    "Clone",
-    "Correction",
-    "Event",
-    "FusionState",
-    "Keyframe",
-    "PoseClone",
-    "Snapshot",
-    "Tally",
-    "in_order",
-    "init",
-    "step",
-    "steps",
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FusionState:
+class FilterState:
     """The filter's state: `buffer` ends with the present; `turned_away` counts by source what no history takes."""
 
     config: FilterConfig
     buffer: ReplayBuffer
     turned_away: Mapping[str, int] = field(default_factory=dict)
-
-    @property
-    def history(self) -> tuple[Snapshot, ...]:
-        """The snapshots of the recent past, oldest first."""
-        return tuple(entry.state for entry in self.buffer.entries)
 
     @property
     def newest(self) -> Snapshot:
@@ -61,22 +40,12 @@ class FusionState:
         return self.buffer.newest.key[0]
 
     @property
-    def clones(self) -> Mapping[str, Clone]:
-        """The pose clone that relative poses of each source refer to."""
-        return self.newest.clones
-
-    @property
     def belief(self) -> Belief:
         """The belief at `stamp`."""
         return self.newest.belief
 
-    def belief_at(self, stamp: float) -> Belief:
-        """Return what is believed at a time [s], predicted where it is after the newest event."""
-        newest = self.newest._replace(links=None)
-        return (predicted(self.config, newest, (stamp, 0, "")) if stamp > self.stamp else newest).belief
-
     @property
-    def counters(self) -> dict[str, Tally]:
+    def tallies(self) -> dict[str, Tally]:
         """What became of the measurements, by source."""
         tallies = dict(self.newest.tallies)
         for source, count in self.turned_away.items():
@@ -100,11 +69,9 @@ def in_order(events: Iterable[Event]) -> list[Event]:
 
 
 def init(
-    stamp: float,
-    pose: Float[np.ndarray, "3"],
-    pose_covariance: Float[np.ndarray, "3 3"] | None = None,
+    stamp: float, pose: Float[np.ndarray, "3"], pose_covariance: Float[np.ndarray, "3 3"] | None = None,
     config: FilterConfig | None = None,
-) -> FusionState:
+) -> FilterState:  # fmt: skip
     """Start at a pose [m, m, rad] in the world, which is the first reference, at rest as far as is known.
 
     pose_covariance of ξ = log(mean⁻¹ · truth); None: the pose is exact, as where a run defines its own frame.
@@ -118,21 +85,17 @@ def init(
     P[6:9, 6:9] = np.diag(config.motion.acceleration_variance)
     P[9, 9] = config.initial_gyro_bias_deviation**2
     P[SCALE : SCALE + 3, SCALE : SCALE + 3] = np.diag(config.wheels.scale_variance)
-    if not (
-        np.isfinite(stamp)
-        and np.all(np.isfinite(mean))
-        and np.all(np.isfinite(P))
-        and np.linalg.eigvalsh(P[REFERENCE:, REFERENCE:])[0] >= -1e-12
-    ):
+    finite = np.isfinite(stamp) and np.all(np.isfinite(mean)) and np.all(np.isfinite(P))
+    if not (finite and np.linalg.eigvalsh(P[REFERENCE:, REFERENCE:])[0] >= -1e-12):
         raise EstimationError(
             "The filter must start at a finite stamp and pose, with a positive semidefinite covariance."
         )
     mean.flags.writeable = P.flags.writeable = False
     key = (float(stamp), -1, "")
-    return FusionState(config, replay_buffer.init(key, Snapshot(key, None, mean, P)))
+    return FilterState(config, replay_buffer.init(key, Snapshot(key, mean, P)))
 
 
-def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:
+def step(state: FilterState, event: Event) -> tuple[FilterState, Correction]:
     """Take one measurement or pose clone, in the order of stamps or up to `history` seconds late."""
     state, corrections = steps(state, [event])
     if corrections:
@@ -140,7 +103,7 @@ def step(state: FusionState, event: Event) -> tuple[FusionState, Correction]:
     return state, Correction(event.stamp, event.source, "refused", "too far ahead: it waits for others to confirm it")
 
 
-def steps(state: FusionState, events: Iterable[Event]) -> tuple[FusionState, list[Correction]]:
+def steps(state: FilterState, events: Iterable[Event]) -> tuple[FilterState, list[Correction]]:
     """Take several at once, with the result of `step` one after the other in order; what comes after is retaken once.
 
     The corrections are in the events' order, `in_order`. An event too far ahead has none until it is taken or refused.
@@ -155,4 +118,4 @@ def steps(state: FusionState, events: Iterable[Event]) -> tuple[FusionState, lis
             turned_away[event.source] = turned_away.get(event.source, 0) + 1
             correction = Correction(event.stamp, event.source, "refused", reason)
         corrections.append(correction)
-    return FusionState(config, buffer, turned_away), corrections
+    return FilterState(config, buffer, turned_away), corrections

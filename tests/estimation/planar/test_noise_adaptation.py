@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.estimation._noise_kernels import own_part
+from longreach.estimation.planar._measurement_kernels import own_part
 from longreach.geometry import se2
 
 POSE = np.array([0.4, -0.2, 0.5])
@@ -38,5 +38,5 @@ def test_a_corridor_is_as_wide_as_before_along_and_less_across(rng):
     np.testing.assert_allclose(np.diag(out), [900.0, 0.5e-6, 0.5e-8], rtol=1e-9)
 
 
-def test_what_is_not_definite_is_told():
+def test_what_is_not_definite_is_reported():
     assert not own_part(np.diag([1.0, -1.0, 1.0]), POSE, np.eye(3), 0.05, np.empty((3, 3)))

@@ -6,10 +6,11 @@ from correction_bounds import corrections_of
 from keyframe_events import CONFIG, events_of, noise, unchecked
 from scipy.stats import chi2
 
-from longreach.estimation import ekf
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, PoseClone, in_order, init, step
-from longreach.estimation.observation import PlanarImu
+from longreach.estimation.planar import ekf
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import in_order, init, step
+from longreach.estimation.planar.measurement_models import PlanarImu
+from longreach.estimation.planar.state import Keyframe, PoseClone
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
@@ -50,7 +51,7 @@ def states_of(events, pose, covariance=None, config=ROBUST):
 
 def local(state):
     """Mean and covariance of all but the reference's pose."""
-    last = state.history[-1]
+    last = state.newest
     rows = np.r_[: ekf.REFERENCE, ekf.CLONES : len(last.mean)]
     return last.mean[rows], last.P[np.ix_(rows, rows)]
 
@@ -100,7 +101,7 @@ def test_corrections_are_as_large_as_their_innovations_and_never_move_the_refere
 def test_the_reference_is_a_keyframe_that_was_left(rng):
     events, truth = drive(rng, faults=False)
     state = unchecked(states_of, events, np.zeros(3))[0][-1]
-    xi = se2.difference(state.history[-1].mean[13:16], truth[140])  # the last keyframe is at 160
+    xi = se2.difference(state.newest.mean[13:16], truth[140])  # the last keyframe is at 160
     assert np.all(np.abs(xi) < 0.01)
 
 
@@ -110,7 +111,7 @@ def test_without_scans_the_reference_is_renewed_on_the_way_and_the_path_is_that_
     counted = np.zeros(3)
     for event in events[1:]:
         counted = se2.compose(counted, event.pose)
-    assert max(np.hypot(*state.history[-1].mean[:2]) for state in states) < 1.1
+    assert max(np.hypot(*state.newest.mean[:2]) for state in states) < 1.1
     np.testing.assert_allclose(states[-1].belief.pose, counted, atol=1e-3)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.estimation.motion import MotionModel, WheelModel
+from longreach.estimation.planar.motion_model import MotionModel, WheelModel
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -28,11 +28,8 @@ class FilterConfig(BaseModel):
         default=0.5,
         description="how long it keeps an acceleration [s]; a start or a stop of such a base takes about that",
     )
-    gyro_bias_walk: float = Field(
-        default=1e-4,
-        ge=0,
-        allow_inf_nan=False,
-        description="growth of the gyro's bias [rad/s/√s]; usual for MEMS gyros",
+    gyro_bias_walk: _NotNegative = Field(
+        default=1e-4, description="growth of the gyro's bias [rad/s/√s]; usual for MEMS gyros"
     )
     stamp_deviation: _NotNegative | None = Field(
         default=None,
@@ -52,18 +49,14 @@ class FilterConfig(BaseModel):
         default=30.0, description="way [m] and turn [rad] over which such an error stays much the same; ours"
     )
     noise_memory: _NotNegative = Field(
-        default=0.0,
-        description="measurements over which the noise of a source is estimated [1]; 0: it is as stated",
+        default=0.0, description="measurements over which the noise of a source is estimated [1]; 0: it is as stated"
     )
     initial_twist_deviation: _Axes = Field(
         default=(1.0, 1.0, 1.0),
         description="what is known of the twist at the start [m/s, m/s, rad/s]; a base's top speed",
     )
-    initial_gyro_bias_deviation: float = Field(
-        default=0.02,
-        ge=0,
-        allow_inf_nan=False,
-        description="the gyro's bias at the start [rad/s]; MEMS data sheets: 0.5-1 °/s",
+    initial_gyro_bias_deviation: _NotNegative = Field(
+        default=0.02, description="the gyro's bias at the start [rad/s]; MEMS data sheets: 0.5-1 °/s"
     )
     gate_probability: float = Field(
         default=1.0 - 1e-4, gt=0, lt=1, description="share of good measurements that the χ² gate lets through; ours"
@@ -75,13 +68,10 @@ class FilterConfig(BaseModel):
     gate_patience: int = Field(
         default=5,
         ge=0,
-        description="measurements of one source left out in a row before the next is taken, scaled; ours",
+        description="measurements of a source left out in a row before the next is taken, scaled; ours",
     )
-    history: float = Field(
-        default=2.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="how late a measurement may come [s]; 0 where all are sorted; ours",
+    history: _NotNegative = Field(
+        default=2.0, description="how late a measurement may come [s]; 0 where all are sorted; ours"
     )
     longest_prediction: float = Field(
         default=60.0, gt=0, description="a stamp further ahead than this is not believed at once [s]; ours"
@@ -95,10 +85,8 @@ class FilterConfig(BaseModel):
     @cached_property
     def motion(self) -> MotionModel:
         """The motion model of these settings."""
-        variance = np.square(self.acceleration_deviation)
-        return MotionModel(
-            self.acceleration_time_constant, variance, self.gyro_bias_walk**2, self.stamp_deviation or 0.0
-        )
+        tau, variance = self.acceleration_time_constant, np.square(self.acceleration_deviation)
+        return MotionModel(tau, variance, self.gyro_bias_walk**2, self.stamp_deviation or 0.0)
 
     @cached_property
     def wheels(self) -> WheelModel:

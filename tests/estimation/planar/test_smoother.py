@@ -8,10 +8,11 @@ from keyframe_events import CONFIG, events_of, unchecked
 from scipy.stats import chi2
 
 from longreach.errors import EstimationError
-from longreach.estimation import _kernels
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.fusion import Keyframe, in_order, init, step
-from longreach.estimation.smoother import smooth
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.filter import in_order, init, step
+from longreach.estimation.planar.smoother import smooth
+from longreach.estimation.planar.state import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement, TwistMeasurement
 from longreach.trajectory import PoseTrajectory
@@ -24,7 +25,7 @@ def batch(stamps, rows, values, variances):
     n = 3 * len(stamps)
     H, z, W = [np.eye(3, n)], [np.zeros(3)], [np.diag([1 / 0.04, 1.0, 1.0])]
     for i, (before, now) in enumerate(pairwise(stamps)):
-        f, g, e, q = _kernels.singer(now - before, 0.5)
+        f, g, e, q = kernels.singer(now - before, 0.5)
         Phi = np.array([[1.0, now - before, f], [0.0, 1.0, g], [0.0, 0.0, e]])
         Q = np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]])
         J = np.zeros((3, n))
@@ -85,7 +86,7 @@ def middle_error(rng, config):
 def test_it_is_never_less_sure_than_the_filter_and_ends_near_it(rng):
     path, smoothed = middle_error(rng, CONFIG)
     np.testing.assert_array_equal(smoothed.stamps, path.stamps)
-    xi = se2.difference(smoothed.poses[-1], path.poses[-1])  # each leaves another part of what is told unused
+    xi = se2.difference(smoothed.poses[-1], path.poses[-1])  # each leaves another part of what is measured unused
     assert xi @ np.linalg.solve(path.covariance[-1], xi) < chi2.ppf(0.9, 3)
     assert np.all(np.trace(smoothed.covariance, axis1=1, axis2=2) <= np.trace(path.covariance, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(smoothed.covariance).min() > -1e-12

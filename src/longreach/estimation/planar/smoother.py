@@ -16,15 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from longreach.errors import EstimationError
-from longreach.estimation import ekf, replay_buffer
-from longreach.estimation.fusion import Event, FusionState, step
-from longreach.estimation.snapshot import Snapshot
+from longreach.estimation import replay_buffer
+from longreach.estimation.planar import ekf
+from longreach.estimation.planar.filter import FilterState, step
+from longreach.estimation.planar.state import Event, Snapshot
 from longreach.geometry import se2
 from longreach.trajectory import PoseTrajectory
 
 
-def smooth(state: FusionState, events: Iterable[Event]) -> PoseTrajectory:
-    """Take all events, sorted as `fusion.in_order` does, and return the smoothed pose at each stamp, as `run` does.
+def smooth(state: FilterState, events: Iterable[Event]) -> PoseTrajectory:
+    """Take all events, sorted as `filter.in_order` does, and return the smoothed pose at each stamp, as `run` does.
 
     Give `init` a config with history=0: sorted events need none.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _kernels
+from longreach.estimation.planar import _ekf_kernels as kernels
 from longreach.measurement import frozen_array
 
 
@@ -58,30 +58,10 @@ def transition(
     """Move the mean by dt [s] and return it with F = ∂(new error)/∂(old error) and the process noise Q."""
     n = len(mean)
     F, Q = np.empty((n, n)), np.empty((n, n))
-    new = _kernels.transition(mean, float(dt), model.time_constant, model.acceleration_variance, model.bias_walk, F, Q)
+    new = kernels.transition(mean, float(dt), model.time_constant, model.acceleration_variance, model.bias_walk, F, Q)
     return new, F, Q
 
 
 def retract(mean: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Move the mean by an error state: poses by X · exp(ξ), the rest by addition."""
-    return _kernels.retract(mean, error, np.empty((len(mean), len(mean))))
-
-
-def draw(
-    model: MotionModel, state: Float[np.ndarray, "13"], dt: float, rng: np.random.Generator
-) -> Float[np.ndarray, "13"]:
-    """Draw where a true state goes in dt [s]: the model that the filter believes in, as a generator of test cases."""
-    if dt == 0.0:
-        return state.copy()
-    f, g, e, q = _kernels.singer(float(dt), model.time_constant)
-    unit = np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]])
-    scale = np.sqrt(np.diag(unit))
-    root = scale[:, None] * np.linalg.cholesky(unit / np.outer(scale, scale))
-    noise = root @ rng.standard_normal((3, 3)) * np.sqrt(model.acceleration_variance)
-    v, a = state[3:6], state[6:9]
-    error = np.zeros(13)
-    error[:3] = dt * v + f * a + noise[0]
-    error[3:6] = g * a + noise[1]
-    error[6:9] = (e - 1.0) * a + noise[2]
-    error[9] = np.sqrt(model.bias_walk * dt) * rng.standard_normal()
-    return retract(state, error)
+    return kernels.retract(mean, error, np.empty((len(mean), len(mean))))

@@ -3,21 +3,39 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
-from longreach.estimation import ekf
-from longreach.estimation.gaussian import Belief
-from longreach.estimation.noise import Noise
-from longreach.estimation.observation import Measurement
-from longreach.estimation.slip import NO_SLIP, Slip, velocity
-from longreach.measurement import RelativePoseMeasurement
+from longreach.estimation.planar import _ekf_kernels as kernels
+from longreach.estimation.planar.measurement_models import Measurement
+from longreach.estimation.planar.noise_adaptation import Noise
+from longreach.estimation.planar.wheel_slip import NO_SLIP, Slip, velocity
+from longreach.estimation.replay_buffer import Key
+from longreach.measurement import RelativePoseMeasurement, _Stamped, frozen_array
 
-_NOTHING = np.zeros(0)
-_NOTHING.flags.writeable = False
+
+@dataclass(frozen=True, eq=False)
+class Belief(_Stamped):
+    """Pose [x, y, θ], body twist [v_x, v_y, ω], its derivative in body axes, and the gyro's bias [rad/s] at `stamp`.
+
+    covariance (10, 10): of the error in that order; the pose's is ξ = log(mean⁻¹ · truth), in the body frame.
+    """
+
+    stamp: float
+    pose: Float[np.ndarray, "3"]
+    twist: Float[np.ndarray, "3"]
+    acceleration: Float[np.ndarray, "3"]
+    gyro_bias: float
+    covariance: Float[np.ndarray, "10 10"]
+    _shapes: ClassVar = {"pose": (3,), "twist": (3,), "acceleration": (3,), "covariance": (10, 10)}
+
+    @property
+    def pose_covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance of ξ, order x y θ [m², m rad, rad²]."""
+        return self.covariance[:3, :3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +87,18 @@ class Correction(NamedTuple):
     source: str
     status: Literal["used", "gated", "refused"]
     reason: str = ""
-    innovation: Float[np.ndarray, " k"] = _NOTHING
+    innovation: Float[np.ndarray, " k"] = frozen_array(np.zeros(0), (0,), "innovation")
     nis: float = 0.0
     dof: int = 0
 
 
 class Clone(NamedTuple):
-    """A pose clone: its number, its stamp [s], and which part (3, 3) of its covariance is its own scan's noise.
+    """A pose clone: where it is in the mean, its stamp [s], which part (3, 3) of its covariance is its scan's noise.
 
     keyframe: whether scans are matched to it. changed: stamp of the wheels' last reading that was a new one [s].
     """
 
-    number: int
+    at: int
     stamp: float
     own: np.ndarray | None = None
     keyframe: bool = False
@@ -107,7 +125,7 @@ class Link(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """The filter after one event (None: the start): mean (16 + 3m,), P, and by source clones, tallies, noise.
+    """The filter after one event, or at the start: mean (16 + 3m,), P, and by source clones, tallies, noise.
 
     steps: by source of wheel odometry, what its steps have added (2, 3, 3) to the covariance of the pose since another
     source observed it, through translations and through turns. streaks: by source, what it has said beyond the gate
@@ -115,8 +133,7 @@ class Snapshot(NamedTuple):
     links: what led here from the snapshot before, where a smoother will want to know, else None.
     """
 
-    key: tuple[float, int, str]
-    event: Event | None
+    key: Key
     mean: np.ndarray
     P: np.ndarray
     clones: Mapping[str, Clone] = {}
@@ -128,27 +145,17 @@ class Snapshot(NamedTuple):
     drift: float = 0.0
     links: tuple[Link, ...] | None = None
 
-    def place(self, number: int) -> int:
-        """Return where in the mean the pose clone of that number is."""
-        return ekf.CLONES + 3 * number
-
-    @property
-    def spare(self) -> int:
-        """The number of the next pose clone."""
-        return (len(self.mean) - ekf.CLONES) // 3
-
     @property
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """The base's pose (3,) in the world, and the covariance (3, 3) of its ξ."""
-        pose, covariance = ekf.compound(self.mean, self.P)
+        pose, covariance = kernels.compound(self.mean, self.P)
         return pose, covariance[:3, :3].copy()  # a view would keep more alive
 
     @property
     def belief(self) -> Belief:
         """What is believed, with the pose in the world."""
-        (stamp, *_), mean = self.key, self.mean
-        pose, covariance = ekf.compound(mean, self.P)
-        twist = mean[3:6]
+        stamp, mean, twist = self.key[0], self.mean, self.mean[3:6]
+        pose, covariance = kernels.compound(mean, self.P)
         if self.slip.rate.any():  # which the pose goes with, and wheels do not count
             twist = twist + velocity(self.slip, float(np.hypot(twist[0], twist[1])), stamp)
         return Belief(stamp, pose, twist, mean[6:9], float(mean[9]), covariance)

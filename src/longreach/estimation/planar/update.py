@@ -1,18 +1,16 @@
-"""One event taken: predict to its stamp (3.28), observe, gate, correct (3.29). `fusion` puts events in order.
+"""One event taken: predict to its stamp (3.28), observe, gate, correct (3.29). `filter` puts events in order.
 
 Relative poses of a source refer to its pose clone, a past pose in the state. Two kinds of source move their clones
 differently:
 * wheel odometry, whose readings have an error of their own: its clone is carried along from reading to reading;
-* a keyframe (LIDAR): its clone stays while matches refer to it. What all of them have in common, the noise of the
-  keyframe's own scan, is an error of the clone: it stands for the keyframe's pose as its scan shows it. A scan that
-  becomes a keyframe is a clone from the match on that tells where it is, so that its noise, which that match has in
-  common with those to come, is counted once.
+* a keyframe (LIDAR): its clone stays while matches refer to it. The noise of the keyframe's own scan, which they have
+  in common, is an error of the clone: it stands for the keyframe's pose as its scan shows it. A scan that becomes a
+  keyframe is a clone from its own match on, so that its noise is counted once.
 
-The local reference is the keyframe before the last: its clone becomes the reference, and is no longer in the state,
-when the next keyframe has been placed. By then all scans that were matched to it have shown where it is, and nothing is
-lost when it has no gain any more. (With the last keyframe itself as the reference, the noise of its scan, which later
-scans tell, stays in odom; simulated drives were then up to twice as wrong.) Where there are no keyframes, or they are
-far, the reference is renewed on the way.
+The local reference is the keyframe before the last: its clone becomes the reference when the next keyframe has been
+added. By then all scans that were matched to it have measured where it is. (With the last keyframe itself as the
+reference, the noise of its scan, which later scans observe, stays in odom; simulated drives were then up to twice as
+wrong.) Where there are no keyframes, or they are far, the reference is renewed on the way: docs/estimation.md, 3.
 """
 
 import math
@@ -21,13 +19,15 @@ from typing import Literal
 
 import numpy as np
 
-from longreach.estimation import _noise_kernels, ekf, motion
-from longreach.estimation.fault_detection import bias_jumps_found, faults_found, moving, widened
-from longreach.estimation.filter_config import FilterConfig
-from longreach.estimation.noise import NOMINAL, Noise, process_noise, scaled
-from longreach.estimation.observation import Measurement, Observation, Relation, observe, observe_relative_pose
-from longreach.estimation.slip import corrected, way
-from longreach.estimation.snapshot import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
+from longreach.estimation.planar import _measurement_kernels as kernels
+from longreach.estimation.planar import ekf, motion_model
+from longreach.estimation.planar.config import FilterConfig
+from longreach.estimation.planar.fault_detection import bias_jumps_found, faults_found, moving, widened
+from longreach.estimation.planar.measurement_models import Measurement, Observation, Relation, observe
+from longreach.estimation.planar.noise_adaptation import NOMINAL, Noise, process_noise, scaled
+from longreach.estimation.planar.state import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
+from longreach.estimation.planar.wheel_slip import corrected, way
+from longreach.estimation.replay_buffer import Key
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
 
@@ -39,21 +39,18 @@ _SAME = 0.97
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
-_NOTHING_ADDED, _NO_MOTION = np.zeros((2, 3, 3)), np.zeros(3)
-_NOTHING_ADDED.flags.writeable = _NO_MOTION.flags.writeable = False
+_NOTHING_ADDED, _NO_MOTION = ekf.frozen(np.zeros((2, 3, 3))), ekf.frozen(np.zeros(3))
 _NO_TALLY, _NO_STEPS = Tally(), np.zeros((0, 2, 3, 3))
 
 
-def take(
-    config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event
-) -> tuple[Snapshot, Correction]:
-    """Predict to the event's stamp, then place the pose clone or correct by the measurement."""
-    now = _at(config, before if before.links is None else before._replace(links=()), key, event)
+def take(config: FilterConfig, before: Snapshot, key: Key, event: Event) -> tuple[Snapshot, Correction]:
+    """Predict to the event's stamp, then clone the pose or correct by the measurement."""
+    now = predicted(config, before if before.links is None else before._replace(links=()), key)
     if isinstance(event, PoseMeasurement):
         return _corrected(config, now, event)
     if isinstance(event, Keyframe):
         seen, correction, own = _keyframe_seen(config, now, event)
-        return _keyframe_placed(_slip_seen(config, now, seen, correction), event, own), correction
+        return _keyframe_added(_slip_seen(config, now, seen, correction), event, own), correction
     if isinstance(event, PoseClone):
         return _cloned(now, event), Correction(event.stamp, event.source, "used")
     if not isinstance(event, RelativePoseMeasurement):
@@ -70,18 +67,14 @@ def take(
     return _renewed(after), correction
 
 
-def predicted(config: FilterConfig, before: Snapshot, key: tuple[float, int, str]) -> Snapshot:
+def predicted(config: FilterConfig, before: Snapshot, key: Key) -> Snapshot:
     """Predict to a time, with what the wheels slip until then. (3.28)"""
-    return _at(config, before, key, before.event)
-
-
-def _at(config: FilterConfig, before: Snapshot, key: tuple[float, int, str], event: Event | None) -> Snapshot:
     dt = float(key[0] - before.key[0])
     if not dt > 0.0:
-        return before._replace(key=key, event=event)
+        return before._replace(key=key)
     mean, P = ekf.predict(config.motion, before.mean, before.P, dt)
-    now = _linked(before, lambda: motion.transition(config.motion, before.mean, dt)[1])
-    now = now._replace(key=key, event=event, mean=mean, P=P)
+    now = _linked(before, lambda: motion_model.transition(config.motion, before.mean, dt)[1])
+    now = now._replace(key=key, mean=mean, P=P)
     return _slipped(now, before.key[0]) if now.slip.slips else now
 
 
@@ -100,11 +93,11 @@ def _renewed(now: Snapshot) -> Snapshot:
 
 
 def _best_known(now: Snapshot) -> int:
-    """Return where in the mean the pose is that nothing to come tells more of: where wheels say that the base is.
+    """Return where in the mean the pose is that nothing to come improves: where wheels say that the base is.
 
     The base's own pose waits for their next reading to be corrected; it serves where there are no wheels.
     """
-    return next((now.place(now.clones[wheels].number) for wheels in now.steps), 0)
+    return next((now.clones[wheels].at for wheels in now.steps), 0)
 
 
 def _slipped(now: Snapshot, since: float) -> Snapshot:
@@ -113,10 +106,10 @@ def _slipped(now: Snapshot, since: float) -> Snapshot:
     error, P, Q = np.zeros(len(now.mean)), now.P, variance * np.eye(3)
     error[:3] = xi
     for wheels in now.steps:
-        i = now.place(now.clones[wheels].number)
+        i = now.clones[wheels].at
         error[i : i + 3] = xi
         P = widened(P, moving(now, wheels, "", 0), Q)
-    return now._replace(mean=_frozen(motion.retract(now.mean, error)), P=P)
+    return now._replace(mean=ekf.frozen(motion_model.retract(now.mean, error)), P=P)
 
 
 def _slip_seen(config: FilterConfig, before: Snapshot, after: Snapshot, correction: Correction) -> Snapshot:
@@ -137,15 +130,15 @@ def _chosen(now: Snapshot, rows: np.ndarray) -> Snapshot:
     return _linked(now, lambda: np.eye(len(now.mean))[rows])._replace(mean=mean, P=P)
 
 
-def _copied(now: Snapshot, number: int) -> Snapshot:
-    """Make the pose clone of that number a copy of the pose."""
-    return _chosen(now, ekf.cloning(len(now.mean), now.place(number)))
+def _copied(now: Snapshot, i: int) -> Snapshot:
+    """Make the pose clone at i a copy of the pose."""
+    return _chosen(now, ekf.copying(max(len(now.mean), i + 3), 0, i))
 
 
 def _cloned(now: Snapshot, event: PoseClone) -> Snapshot:
     old = now.clones.get(event.source)
-    number = now.spare if old is None else old.number
-    return _copied(now, number)._replace(clones={**now.clones, event.source: Clone(number, event.stamp)})
+    i = len(now.mean) if old is None else old.at
+    return _copied(now, i)._replace(clones={**now.clones, event.source: Clone(i, event.stamp)})
 
 
 def _keyframe_seen(
@@ -155,31 +148,31 @@ def _keyframe_seen(
 
     The clone is the last one. Returns also which part of its covariance is the scan's own noise.
     """
-    match, spare, own = event.match, now.spare, None
+    match, at, own = event.match, len(now.mean), None
     correction = Correction(event.stamp, event.source, "used")
     if match is None:
-        now = _copied(_rebased(now, _best_known(now)), spare)
+        now = _copied(_rebased(now, _best_known(now)), at)
     else:
         now, left = _apart(now, match)
-        at, R = now.place(spare), left.covariance
-        known = bool(np.all(np.isfinite(R)))
+        R, known = left.covariance, bool(np.all(np.isfinite(left.covariance)))
         own = R if event.noise is None else event.noise
         noise = scaled(own, now.noise.get(event.source, NOMINAL).deviations) if known else np.zeros((3, 3))
-        now = _copied(now, spare)
+        now = _copied(now, at)
         left = left._replace(covariance=_less(R, _SAME * own)) if known else left
         now, correction = _corrected(config, now._replace(P=_added(now.P, at, _SAME * noise)), match, left, at)
         own, now = own if known else None, now._replace(P=_added(now.P, at, (1.0 - _SAME) * noise))
     return now, correction, own
 
 
-def _keyframe_placed(now: Snapshot, event: Keyframe, own: np.ndarray | None) -> Snapshot:
+def _keyframe_added(now: Snapshot, event: Keyframe, own: np.ndarray | None) -> Snapshot:
     """Let the last clone, which is the new keyframe's, take the place of the old one's, which becomes the reference."""
-    old, clone = now.clones.get(event.source), Clone(now.spare - 1, event.stamp, own, True)
+    old, clone = now.clones.get(event.source), Clone(len(now.mean) - 3, event.stamp, own, True)
     if old is not None:
         if event.match is not None:
-            now = _rebased(now, now.place(old.number))
-        now = _chosen(now, ekf.moving_last(len(now.mean), now.place(old.number)))
-        clone = clone._replace(number=old.number)
+            now = _rebased(now, old.at)
+        last = len(now.mean) - 3
+        now = _chosen(now, ekf.copying(last, last, old.at))
+        clone = clone._replace(at=old.at)
     return now._replace(clones={**now.clones, event.source: clone})
 
 
@@ -193,31 +186,26 @@ def _apart(now: Snapshot, match: RelativePoseMeasurement) -> tuple[Snapshot, Rel
         if not (np.all(np.isfinite(match.pose)) and np.all(np.isfinite(match.covariance))):
             return now, left
         A = se2.adjoint(match.pose)
-        own, noise = _frozen(A @ match.shared_covariance @ A.T), now.noise.get(match.source, NOMINAL)
-        P = _added(now.P, now.place(clone.number), scaled(own, noise.deviations))
+        own, noise = ekf.frozen(A @ match.shared_covariance @ A.T), now.noise.get(match.source, NOMINAL)
+        P = _added(now.P, clone.at, scaled(own, noise.deviations))
         now = now._replace(P=P, clones={**now.clones, match.source: clone._replace(own=own)})
     R = np.empty((3, 3))
-    if _noise_kernels.own_part(match.covariance, match.pose, own, _OWN, R):
-        left = Relation(match.stamp_reference, match.pose, _frozen(R))
+    if kernels.own_part(match.covariance, match.pose, own, _OWN, R):
+        left = Relation(match.stamp_reference, match.pose, ekf.frozen(R))
     return now, left
 
 
 def _less(R: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Take a part off a covariance (3, 3), but leave at least 1 - _SAME of it in every direction."""
     rest = np.empty((3, 3))
-    return _frozen(rest if _noise_kernels.own_part(R, _NO_MOTION, part, 1.0 - _SAME, rest) else (1.0 - _SAME) * R)
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array
+    return ekf.frozen(rest if kernels.own_part(R, _NO_MOTION, part, 1.0 - _SAME, rest) else (1.0 - _SAME) * R)
 
 
 def _added(P: np.ndarray, i: int, Q: np.ndarray) -> np.ndarray:
     """Add to the covariance of the three errors at i."""
     P = P.copy()
     P[i : i + 3, i : i + 3] += 0.5 * (Q + Q.T)
-    return _frozen(P)
+    return ekf.frozen(P)
 
 
 def _is_stale(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement) -> bool:
@@ -248,17 +236,17 @@ def _carried(config: FilterConfig, now: Snapshot, step: RelativePoseMeasurement)
     """Take a step between two readings of the wheels: the clone goes along, and stands where the wheels say we are.
 
     So the error of a reading stays with that reading, whereas the error of the steps adds up in the clone. Returns
-    what is left to measure: that we are at the clone, as well as a reading tells. What is no such step stays as it is.
+    what is left to measure: that we are at the clone, as well as a reading shows. What is no such step stays as it is.
     """
     source, clone, R = step.source, now.clones.get(step.source), step.reading_covariance
     if R is None or clone is None or clone.stamp != step.stamp_reference or not math.isfinite(sum(step.pose.tolist())):
         return now, Relation(step.stamp_reference, step.pose, step.covariance)
     noise = now.noise.get(process_noise(source), NOMINAL)
     Q, A, parts = np.empty((3, 3)), np.empty((3, 3)), np.zeros((2, 3, 3))
-    _noise_kernels.step_noise(step.covariance, noise.row, step.pose, Q, A, parts)
+    kernels.step_noise(step.covariance, noise.row, step.pose, Q, A, parts)
     steps = {**now.steps, source: A @ now.steps.get(source, _NOTHING_ADDED) @ A.T + parts}
-    mean, P, T = ekf.carry(config.wheels, now.mean, now.P, now.place(clone.number), step.pose, Q)
-    clones = {**now.clones, source: Clone(clone.number, step.stamp, clone.own, clone.keyframe)}
+    mean, P, T = ekf.carry(config.wheels, now.mean, now.P, clone.at, step.pose, Q)
+    clones = {**now.clones, source: Clone(clone.at, step.stamp, clone.own, clone.keyframe)}
     now = _linked(now, lambda: T)._replace(mean=mean, P=P, clones=clones, steps=steps)
     return now, Relation(step.stamp, _NO_MOTION, R)
 
@@ -280,14 +268,12 @@ def _corrected(
     source, clone, fix = measurement.source, None, isinstance(measurement, PoseMeasurement)
     said = Correction(measurement.stamp, source, "refused")
     noise, tally = now.noise.get(source, NOMINAL), now.tallies.get(source, _NO_TALLY)
-    if left is None:
-        observation, fault = observe(now.mean, measurement, noise=noise)
-    else:
+    if left is not None:
         clone = now.clones.get(source)
         if clone is None or clone.stamp != left.since:
             reason = f"relative to {left.since} s, where {source} has no pose clone"
             return _set_aside(now, said._replace(reason=reason))
-        observation, fault = observe_relative_pose(now.mean, left, noise, now.place(clone.number), at)
+    observation, fault = observe(now.mean, left or measurement, *((clone.at, at) if clone else ()), noise=noise)
     if fault:
         return _set_aside(now, said._replace(reason=fault))
     r, H, R, _ = observation
@@ -304,7 +290,7 @@ def _corrected(
     if nis == math.inf:
         return _set_aside(now, said._replace(reason="its innovation has no positive definite covariance"))
     noises, steps, links = now.noise, now.steps, now.links
-    if config.noise_memory > 0.0 and at == 0:  # and of what the wheels' steps add, where another source tells the pose
+    if config.noise_memory > 0.0 and at == 0:  # and of the wheels' steps, where another source observes the pose
         seen = steps if (fix or left is not None) and source not in steps else {}
         noises = _learned(config, now, source, seen, observation, S)
         steps = dict.fromkeys(steps, _NOTHING_ADDED) if seen else steps
@@ -328,16 +314,12 @@ def _judged(tally: Tally, nis: float, gate: float, scale: float) -> tuple[Litera
 
 
 def _learned(
-    config: FilterConfig,
-    now: Snapshot,
-    source: str,
-    steps: Mapping[str, np.ndarray],
-    observation: Observation,
+    config: FilterConfig, now: Snapshot, source: str, steps: Mapping[str, np.ndarray], observation: Observation,
     S: np.ndarray,
-) -> Mapping[str, Noise]:
-    """Learn from a source's innovation about its noise, and about that of the steps, where it tells what they added."""
+) -> Mapping[str, Noise]:  # fmt: skip
+    """Learn from a source's innovation about its noise, and about that of the steps, where it shows what they added."""
     (r, H, R, blocks), names = observation, [source, *map(process_noise, steps)]
     rows = np.array([now.noise.get(name, NOMINAL).row for name in names])
     added, is_wheels = np.array([*steps.values()]) if steps else _NO_STEPS, source in now.steps
-    _noise_kernels.learn(S, r, H, R, blocks, config.wheels.coupled, added, config.noise_memory, is_wheels, rows)
-    return {**now.noise, **dict(zip(names, map(Noise, _frozen(rows)), strict=True))}
+    kernels.learn(S, r, H, R, blocks, config.wheels.coupled, added, config.noise_memory, is_wheels, rows)
+    return {**now.noise, **dict(zip(names, map(Noise, ekf.frozen(rows)), strict=True))}

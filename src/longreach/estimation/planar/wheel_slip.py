@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.estimation import _slip_kernels
+from longreach.estimation.planar import _wheel_slip_kernels as kernels
 from longreach.measurement import frozen_array
 
 
@@ -35,33 +35,24 @@ class Slip(NamedTuple):
     @property
     def rate(self) -> Float[np.ndarray, "3"]:
         """The velocity ξ (3,)."""
-        return self.rows[_slip_kernels.RATE]
-
-    @property
-    def variance(self) -> Float[np.ndarray, "3"]:
-        """The variance of the rate (3,)."""
-        return self.rows[_slip_kernels.VARIANCE]
+        return self.rows[kernels.RATE]
 
 
 NO_SLIP = Slip(frozen_array(np.zeros((7, 3)), (7, 3), "Slip.rows"))
 
 
 def corrected(
-    slip: Slip,
-    r: Float[np.ndarray, "3"],
-    before: Float[np.ndarray, " n"],
-    after: Float[np.ndarray, " m"],
-    stamp: float,
-    coupled: Float[np.ndarray, "3"],
-) -> Slip:
+    slip: Slip, r: Float[np.ndarray, "3"], before: Float[np.ndarray, " n"], after: Float[np.ndarray, " m"],
+    stamp: float, coupled: Float[np.ndarray, "3"],
+) -> Slip:  # fmt: skip
     """Return what is known where a source has shown the pose to be off by r (3,), and it was moved for that.
 
     before, after: that pose, of a mean. coupled (3,): 1 in the axes in which the pose follows the wheels, else 0.
     """
     rows = np.empty((7, 3))
-    rhythm = _slip_kernels.correct(slip.rows, slip.seen, *slip.rhythm, r, before, after, stamp, coupled, rows)
+    rhythm = kernels.correct(slip.rows, slip.seen, *slip.rhythm, r, before, after, stamp, coupled, rows)
     rows.flags.writeable = False
-    return Slip(rows, max(stamp, slip.seen), rhythm, bool(rows[_slip_kernels.VARIANCE].any()))
+    return Slip(rows, max(stamp, slip.seen), rhythm, bool(rows[kernels.VARIANCE].any()))
 
 
 def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -70,11 +61,11 @@ def way(slip: Slip, speed: float, begin: float, end: float) -> tuple[Float[np.nd
     speed [m/s]: of the base, as its wheels count.
     """
     xi, variance = np.empty(3), np.empty(3)
-    _slip_kernels.way(slip.rows, slip.seen, *slip.rhythm, speed, begin, end, xi, variance)
+    kernels.way(slip.rows, slip.seen, *slip.rhythm, speed, begin, end, xi, variance)
     return xi, variance
 
 
 def velocity(slip: Slip, speed: float, stamp: float) -> Float[np.ndarray, "3"]:
     """Return the velocity (3,) that wheels do not count at a time [s], where they count a speed [m/s]."""
-    part = _slip_kernels.fading(max(stamp - slip.seen, 0.0)) * _slip_kernels.possible(slip.rows, speed)
+    part = kernels.fading(max(stamp - slip.seen, 0.0)) * kernels.possible(slip.rows, speed)
     return part * slip.rate

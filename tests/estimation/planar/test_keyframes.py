@@ -8,7 +8,8 @@ from keyframe_events import CONFIG, SAME, SCAN, events_of, unchecked
 from scipy.stats import chi2
 
 from longreach.errors import EstimationError
-from longreach.estimation.fusion import Keyframe, in_order, init, step
+from longreach.estimation.planar.filter import in_order, init, step
+from longreach.estimation.planar.state import Keyframe
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
 
@@ -58,11 +59,11 @@ def test_a_keyframe_that_no_match_leads_to_takes_its_noise_from_the_first_match(
     A = se2.adjoint(se2.inverse(z))
     match = RelativePoseMeasurement(0.0, 0.1, z, SCAN + A @ SCAN @ A.T, "lidar", None, A @ SCAN @ A.T)
     state, _ = step(state, match)
-    np.testing.assert_allclose(state.clones["lidar"].own, SCAN, atol=1e-12)
-    before = np.diag(state.history[-1].P)[16:19]
+    np.testing.assert_allclose(state.newest.clones["lidar"].own, SCAN, atol=1e-12)
+    before = np.diag(state.newest.P)[16:19]
     assert np.all(before > 0.5 * np.diag(SCAN))
     state, _ = step(state, replace(match, stamp=0.2))
-    assert np.all(np.diag(state.history[-1].P)[16:19] <= before)  # counted once
+    assert np.all(np.diag(state.newest.P)[16:19] <= before)  # counted once
 
 
 def test_what_is_shared_may_be_all_there_is(rng):
@@ -73,7 +74,7 @@ def test_what_is_shared_may_be_all_there_is(rng):
         event = RelativePoseMeasurement(0.0, 0.1 * i, np.array([0.1, 0.0, 0.0]), huge, "lidar", None, huge)
         state, correction = step(state, event)
         assert correction.status == "used"
-    assert np.linalg.eigvalsh(state.history[-1].P)[0] > -1e-12
+    assert np.linalg.eigvalsh(state.newest.P)[0] > -1e-12
 
 
 def test_a_keyframe_whose_match_says_nothing_finite_is_a_keyframe_all_the_same():
@@ -81,9 +82,9 @@ def test_a_keyframe_whose_match_says_nothing_finite_is_a_keyframe_all_the_same()
     bad = RelativePoseMeasurement(0.0, 0.1, np.array([np.nan, 0.0, 0.0]), 2 * SCAN, "lidar", None, SCAN)
     state, correction = step(state, Keyframe(0.1, "lidar", bad))
     assert correction.status == "refused"
-    assert state.clones["lidar"].stamp == 0.1
-    assert np.all(np.isfinite(state.history[-1].mean))
-    assert len(state.history[-1].mean) == 19
+    assert state.newest.clones["lidar"].stamp == 0.1
+    assert np.all(np.isfinite(state.newest.mean))
+    assert len(state.newest.mean) == 19
 
 
 def test_a_match_of_another_stamp_makes_no_keyframe():
@@ -102,4 +103,4 @@ def test_late_keyframes_give_what_they_give_in_order(rng):
         late, _ = step(late, event)
     np.testing.assert_array_equal(late.belief.pose, sorted_.belief.pose)
     np.testing.assert_array_equal(late.belief.covariance, sorted_.belief.covariance)
-    np.testing.assert_array_equal(late.history[-1].noise["lidar"].log, sorted_.history[-1].noise["lidar"].log)
+    np.testing.assert_array_equal(late.newest.noise["lidar"].log, sorted_.newest.noise["lidar"].log)
