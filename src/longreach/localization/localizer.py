@@ -41,9 +41,9 @@ from longreach.measurement import (
     WheelSpeeds,
     WheelTicks,
 )
-from longreach.odometry import lidar, motion_prior, wheel
-from longreach.odometry.lidar import LidarState
-from longreach.odometry.scan_match import ScanMatch
+from longreach.odometry import dead_reckoning as motion_prior
+from longreach.odometry import lidar, wheel
+from longreach.odometry.lidar import LidarState, ScanMatch
 from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
