@@ -26,7 +26,7 @@ from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry import lidar
 from longreach.odometry.dead_reckoning import integrate
-from longreach.odometry.lidar_config import LidarConfig, Method
+from longreach.odometry.lidar import LidarConfig, Method
 from longreach.odometry.matchers import range_flow
 from longreach.trajectory import PoseTrajectory
 

@@ -20,8 +20,8 @@ from longreach.io.recording import read_recording
 from longreach.io.relations import read_relations
 from longreach.measurement import Recording
 from longreach.odometry.matchers.range_flow import RangeFlow, RangeFlowConfig, lidar_odometry
+from longreach.odometry.matchers.scan_matcher import ScanMatch
 from longreach.odometry.scan_geometry import scan_geometry
-from longreach.odometry.scan_match import ScanMatch
 from longreach.sim.kinematic import make_recording
 from longreach.trajectory import PoseTrajectory
 
@@ -36,7 +36,7 @@ def milliseconds_a_scan(recording: Recording, T_base_laser: np.ndarray) -> float
         if last is not None:
             fit = matcher.match(features, last, geometry, None)
             assert not isinstance(fit, str), fit
-        last, _ = matcher.extended(last, features, geometry, fit)
+        last, _ = matcher.extended(last, features, fit)
         times.append(time.perf_counter() - began)
     return 1e3 * float(np.median(times[10:]))
 

@@ -433,7 +433,7 @@ def test_a_match_that_moves_the_base_faster_than_a_base_moves_is_none(moved_by, 
     state, _ = step(init(LidarConfig(), NOWHERE), first)
     matcher = state.matcher
     jumping = Jumping(matcher.settings, matcher.distance, matcher.turned, matcher.overlap)
-    after, match = step(replace(state, matcher=jumping), second)
+    after, match = step(state._replace(matcher=jumping), second)
     assert match.measurement is None
     assert "faster" in match.reason
     np.testing.assert_allclose(after.pose, 0.0, atol=1e-12)  # the prior: it has not moved so far

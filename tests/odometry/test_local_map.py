@@ -28,8 +28,8 @@ def moved(keyframe, by):
 
 
 def normals_at(found, x, y, within=0.05):
-    near = np.hypot(found.elements[:, 0] - x, found.elements[:, 1] - y) < within
-    return found.elements[near, 2:4]
+    near = np.hypot(found.surfaces.elements[:, 0] - x, found.surfaces.elements[:, 1] - y) < within
+    return found.surfaces.elements[near, 2:4]
 
 
 @pytest.mark.parametrize("cells", [(1, 0), (-7, 3), (16, -32), (1234, -777)])
@@ -37,31 +37,31 @@ def test_a_map_moves_with_its_keyframes_by_whole_cells_and_does_not_change(cells
     keyframes, by = keyframes_along(POSES, rng), CELL * np.array(cells)
     a, b = local_map.merged(keyframes), local_map.merged([moved(k, by) for k in keyframes])
     shift = np.array([*by, 0.0, 0.0, 0.0, 0.0])
-    assert len(a.elements) == len(b.elements)
-    np.testing.assert_allclose(b.elements, a.elements + shift, atol=1e-9)
+    assert len(a.surfaces.elements) == len(b.surfaces.elements)
+    np.testing.assert_allclose(b.surfaces.elements, a.surfaces.elements + shift, atol=1e-9)
     np.testing.assert_allclose(b.poses[:, :2], a.poses[:, :2] + by, atol=1e-12)
 
 
 def test_elements_lie_in_the_cell_that_holds_them(rng):
     found, side = local_map.merged(keyframes_along(POSES, rng)), _local_map_kernels.SIDE
     seen = 0
-    for b in range(len(found.cells)):
-        (at,) = np.argwhere(found.blocks == b)
-        for i, k, layer in np.argwhere(found.cells[b] >= 0):
-            low = found.origin + CELL * (side * at + [i, k])
-            middle = found.elements[found.cells[b, i, k, layer], :2]
+    for b in range(len(found.surfaces.cells)):
+        (at,) = np.argwhere(found.surfaces.blocks == b)
+        for i, k, layer in np.argwhere(found.surfaces.cells[b] >= 0):
+            low = found.surfaces.origin + CELL * (side * at + [i, k])
+            middle = found.surfaces.elements[found.surfaces.cells[b, i, k, layer], :2]
             assert (middle >= low - 1e-9).all()
             assert (middle <= low + CELL + 1e-9).all()
             seen += 1
-    assert seen == len(found.elements)
-    assert found.blocks.max() + 1 == len(found.cells)
+    assert seen == len(found.surfaces.elements)
+    assert found.surfaces.blocks.max() + 1 == len(found.surfaces.cells)
 
 
 def test_no_return_is_lost_or_counted_twice(rng):
     keyframes = keyframes_along(POSES[:1], rng)
     returns = np.isfinite(features_of(scan_at(POSES[0], rng=np.random.default_rng(20260101))).values[7]).sum()
     assert keyframes[0].elements[:, 4].sum() == pytest.approx(returns, rel=1e-9)
-    assert local_map.merged(keyframes).elements[:, 4].sum() <= returns + 1e-9
+    assert local_map.merged(keyframes).surfaces.elements[:, 4].sum() <= returns + 1e-9
 
 
 def test_a_sparse_scan_in_a_large_hall_leaves_the_surface_of_its_last_beams_too():
@@ -81,7 +81,10 @@ def test_a_thin_wall_seen_from_both_sides_keeps_two_surfaces_within_one_row_of_c
         normals = normals_at(found, 2.05, y, 0.1)
         assert (np.abs(normals[:, 0]) > 0.9).all()
         assert normals[:, 0].min() < 0.0 < normals[:, 0].max()
-    left, right = found.elements[found.elements[:, 2] < -0.9], found.elements[found.elements[:, 2] > 0.9]
+    left, right = (
+        found.surfaces.elements[found.surfaces.elements[:, 2] < -0.9],
+        found.surfaces.elements[found.surfaces.elements[:, 2] > 0.9],
+    )
     np.testing.assert_allclose(left[:, 0], 2.03, atol=0.03)
     np.testing.assert_allclose(right[:, 0], 2.07, atol=0.03)
     assert abs(np.mean(right[:, 0]) - np.mean(left[:, 0]) - 0.04) < 0.01
@@ -96,9 +99,9 @@ def test_whatever_surfaces_lie_in_a_cell_all_elements_have_unit_normals(rng):
         opposite = keyframes[-1].elements * [1, 1, -1, -1, 1, 1] + [0.04, 0, 0, 0, 0, 0]
         keyframes.append(Keyframe(np.zeros(3), opposite, 0.01))
     found = local_map.merged(keyframes)
-    assert np.isfinite(found.elements).all()
-    np.testing.assert_allclose(np.hypot(*found.elements[:, 2:4].T), 1.0, atol=1e-12)
-    assert len(found.elements) <= 2 * 25
+    assert np.isfinite(found.surfaces.elements).all()
+    np.testing.assert_allclose(np.hypot(*found.surfaces.elements[:, 2:4].T), 1.0, atol=1e-12)
+    assert len(found.surfaces.elements) <= 2 * 25
 
 
 def test_features_whose_normals_turn_about_from_beam_to_beam_make_unit_normals(rng):
@@ -129,14 +132,14 @@ def test_what_lies_outside_of_the_map_is_left_out():
     (one,) = keyframes_along(POSES[:1])
     there = one.elements + np.array([200.0, -200.0, 0.0, 0.0, 0.0, 0.0])
     found = local_map.merged([one, replace(one, elements=there)])
-    np.testing.assert_array_equal(found.elements, local_map.merged([one]).elements)
+    np.testing.assert_array_equal(found.surfaces.elements, local_map.merged([one]).surfaces.elements)
 
 
 def test_merging_changes_no_keyframe(rng):
     keyframes = keyframes_along(POSES, rng)
     before = [k.elements.copy() for k in keyframes]
     a, b = local_map.merged(keyframes), local_map.merged(keyframes)
-    np.testing.assert_array_equal(a.elements, b.elements)
+    np.testing.assert_array_equal(a.surfaces.elements, b.surfaces.elements)
     for keyframe, elements in zip(keyframes, before, strict=True):
         np.testing.assert_array_equal(keyframe.elements, elements)
 
@@ -147,37 +150,48 @@ def test_a_scan_of_clutter_alone_makes_a_map_without_surfaces(rng):
     values = features.values.copy()
     values[5:7], values[7] = 0.0, np.inf
     found = local_map.merged([local_map.keyframe(replace(features, values=values), np.zeros(3))])
-    assert len(found.elements) == 0
-    assert [part.size for part in found.field] == [64 * 64, 0, 0]
+    assert len(found.surfaces.elements) == 0
+    _, field, pooled = found.field
+    assert not field.any()
+    assert not pooled.any()
+
+
+def fine_cells(points, found):
+    """Where points (n, 2) of a map are in its likelihood field."""
+    return tuple((np.floor((points - found.surfaces.origin) / (CELL / FINE)).astype(int) - found.field[0]).T)
 
 
 def test_the_likelihood_is_highest_at_the_surfaces_and_nothing_away_from_them(rng):
     found = local_map.merged(keyframes_along(POSES, rng))
-    blocks, field, _ = found.field
-    side, fine = field.shape[1], CELL / FINE
-    at = np.floor((found.elements[:, :2] - found.origin) / fine).astype(int)
-    values = field[blocks[tuple((at // side).T)], at[:, 0] % side, at[:, 1] % side]
-    assert values.min() > 255 * 0.8
+    _, field, _ = found.field
+    assert field[fine_cells(found.surfaces.elements[:, :2], found)].min() > 255 * 0.8
     assert field.mean() < 60
 
 
 def test_a_surface_at_the_border_of_a_block_reaches_into_the_next():
     border = _local_map_kernels.SIDE * CELL
     found = map_of([(0.2, 0.3, 0.0)], walls=np.array([[border + 1e-3, -3.0, border + 1e-3, 3.0]]))
-    blocks, field, pooled = found.field
-    i, k = np.round((np.array([0.0, 0.0]) - found.origin) / border).astype(int)
-    assert found.blocks[i, k] < 0 <= found.blocks[i + 1, k]
-    assert field[blocks[i, k], -1].max() > 100
-    assert pooled[blocks[i, k], -1].max() > 200
+    _, field, pooled = found.field
+    i, k = np.round((np.array([0.0, 0.0]) - found.surfaces.origin) / border).astype(int)
+    assert found.surfaces.blocks[i, k] < 0 <= found.surfaces.blocks[i + 1, k]
+    (x,), (y,) = fine_cells(np.array([[border - 1e-3, 0.3]]), found)
+    assert field[x, y - 10 : y + 10].max() > 100
+    assert pooled[x // COARSE, y // COARSE - 2 : y // COARSE + 2].max() > 200
+
+
+def test_the_likelihood_field_ends_in_zeros(rng):
+    for part in local_map.merged(keyframes_along(POSES, rng)).field[1:]:
+        assert part.any()
+        assert not any(edge.any() for edge in (part[0], part[-1], part[:, 0], part[:, -1]))
 
 
 def test_the_coarse_field_bounds_the_fine_one_in_and_next_to_its_cells(rng):
     found = local_map.merged(keyframes_along(POSES, rng))
     _, field, pooled = found.field
-    largest = field.reshape(len(field), field.shape[1] // COARSE, COARSE, field.shape[2] // COARSE, COARSE)
-    assert (pooled >= largest.max(axis=(2, 4))).all()
-    assert (pooled[:, 1:] >= largest[:, :-1, -1:].max(axis=(2, 4))).all()
-    assert (pooled[:, :-1] >= largest[:, 1:, :1].max(axis=(2, 4))).all()
+    largest = field.reshape(len(pooled), COARSE, pooled.shape[1], COARSE)
+    assert (pooled >= largest.max(axis=(1, 3))).all()
+    assert (pooled[1:] >= largest[:-1, -1:].max(axis=(1, 3))).all()
+    assert (pooled[:-1] >= largest[1:, :1].max(axis=(1, 3))).all()
     assert (pooled == 0).any()
 
 
@@ -185,6 +199,6 @@ def test_where_a_keyframe_turns_the_map_turns(rng):
     (one,) = keyframes_along(POSES[:1], rng)
     turned = local_map.merged([replace(one, pose=np.array([0.0, 0.0, np.pi / 2]))])
     still = local_map.merged([replace(one, pose=np.zeros(3))])
-    for element in still.elements[::20]:
+    for element in still.surfaces.elements[::20]:
         there = se2.transform(np.array([0.0, 0.0, np.pi / 2]), element[None, :2])[0]
-        assert np.hypot(*(turned.elements[:, :2] - there).T).min() < CELL
+        assert np.hypot(*(turned.surfaces.elements[:, :2] - there).T).min() < CELL

@@ -29,8 +29,7 @@ from longreach.localization.config import Source, filter_for
 from longreach.localization.localizer import LocalizerState, Output, Reading, Row
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
-from longreach.odometry.lidar import lidar_odometry
-from longreach.odometry.scan_match import ScanMatch
+from longreach.odometry.lidar import ScanMatch, lidar_odometry
 from longreach.odometry.wheel import wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.estimation.planar.config import FilterConfig
-from longreach.odometry.lidar_config import LidarConfig
+from longreach.odometry.lidar import LidarConfig
 from longreach.odometry.wheel import WheelConfig
 from longreach.robot.description import RobotDescription
 

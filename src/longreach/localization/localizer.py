@@ -41,9 +41,8 @@ from longreach.measurement import (
     WheelSpeeds,
     WheelTicks,
 )
-from longreach.odometry import lidar, motion_prior, wheel
-from longreach.odometry.lidar import LidarState
-from longreach.odometry.scan_match import ScanMatch
+from longreach.odometry import dead_reckoning, lidar, wheel
+from longreach.odometry.lidar import LidarState, ScanMatch
 from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
@@ -314,7 +313,7 @@ def _scan(state: LocalizerState, before: Estimates, key: Key, scan: LaserScan) -
     if not scan.stamp > before.lidar.stamp:
         return before, _Taken([], [])
     known = np.isfinite(before.lidar.stamp)
-    prior = motion_prior.from_wheels(before.steps, before.lidar.stamp, scan.stamp) if known else None
+    prior = dead_reckoning.from_wheels(before.steps, before.lidar.stamp, scan.stamp) if known else None
     odometry, match = lidar.step(before.lidar, scan, prior)
     events: list[Event] = [] if match.measurement is None else [match.measurement]
     if match.keyframe:

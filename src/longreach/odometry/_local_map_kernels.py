@@ -2,15 +2,19 @@
 
 An element is a short piece of surface, a row of (k, ELEMENT): 0, 1: its middle; 2, 3: unit normal, towards the laser
 that saw it; 4: how many returns it is the mean of; 5: information of its direction times the variance of a range.
-Cells are kept in blocks, which exist only where there is a surface: `blocks` (B, B) holds the number of each, -1 none,
-and `cells` (b, C, C, 2) the elements of a cell, one for either side of a thin wall, -1 none.
+Cells are kept in blocks, which exist only where there is a surface.
 """
 
 import math
+from collections import namedtuple
 
 import numpy as np
 
 from longreach.kernels import kernel
+
+# The map's corner (2,); blocks (B, B): the number of each, -1 none; cells (b, C, C, 2): the elements of a cell, one for
+# either side of a thin wall, -1 none; elements (m, ELEMENT).
+Surfaces = namedtuple("Surfaces", "origin blocks cells elements")
 
 ELEMENT = 6
 CELL = 0.1  # [m]
@@ -73,103 +77,81 @@ def keyframe_elements(features, m, elements):
 
 
 @kernel
-def merge(elements, pose, origin, blocks, cells, used, merged):
-    """Merge elements (k, ELEMENT) of a keyframe at pose (3,) into the map; used (2,): blocks and elements so far.
-
-    What lies outside the map is left out. Positions and normals in `merged` are sums until `finish`.
-    """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for i in range(len(elements)):
-        x = c * elements[i, 0] - s * elements[i, 1] + pose[0]
-        y = s * elements[i, 0] + c * elements[i, 1] + pose[1]
-        nx, ny = c * elements[i, 2] - s * elements[i, 3], s * elements[i, 2] + c * elements[i, 3]
-        ix, iy = math.floor((x - origin[0]) / CELL), math.floor((y - origin[1]) / CELL)
+def find_blocks(seen, origin, blocks, at):
+    """Fill at (k, 2) with the cell of each element, -1 outside the map, and number the blocks that have any."""
+    count = 0
+    for i in range(len(seen)):
+        ix, iy = math.floor((seen[i, 0] - origin[0]) / CELL), math.floor((seen[i, 1] - origin[1]) / CELL)
         if ix < 0 or iy < 0 or ix >= SIDE * BLOCKS or iy >= SIDE * BLOCKS:
+            at[i, 0] = -1
             continue
-        b = blocks[ix // SIDE, iy // SIDE]
-        if b < 0:
-            b = blocks[ix // SIDE, iy // SIDE] = used[0]
-            used[0] += 1
-            cells[b] = -1
-        w = elements[i, 4]
-        for layer in range(2):
-            j = cells[b, ix % SIDE, iy % SIDE, layer]
-            if j < 0:
-                j = cells[b, ix % SIDE, iy % SIDE, layer] = used[1]
-                used[1] += 1
-                merged[j] = 0.0
-            elif merged[j, 2] * nx + merged[j, 3] * ny <= _SAME_SIDE * math.hypot(merged[j, 2], merged[j, 3]):
-                continue
-            merged[j, 0] += w * x
-            merged[j, 1] += w * y
-            merged[j, 2] += w * nx
-            merged[j, 3] += w * ny
-            merged[j, 4] += w
-            merged[j, 5] += elements[i, 5]
-            break
+        at[i, 0], at[i, 1] = ix, iy
+        if blocks[ix // SIDE, iy // SIDE] < 0:
+            blocks[ix // SIDE, iy // SIDE] = count
+            count += 1
+    return count
 
 
 @kernel
-def finish(merged, n):
-    """Turn the sums of n elements into means."""
-    for j in range(n):
+def merge(seen, at, surfaces):
+    """Merge elements (k, ELEMENT) of keyframes, in the map's frame, by cells `at` (k, 2); return how many remain."""
+    _, blocks, cells, merged = surfaces
+    n = 0
+    for i in range(len(seen)):
+        ix, iy = at[i, 0], at[i, 1]
+        if ix < 0:
+            continue
+        b, u, v = blocks[ix // SIDE, iy // SIDE], ix % SIDE, iy % SIDE
+        w, nx, ny = seen[i, 4], seen[i, 2], seen[i, 3]
+        for layer in range(2):
+            j = cells[b, u, v, layer]
+            if j < 0:
+                j = cells[b, u, v, layer] = n
+                n += 1
+                merged[j] = 0.0
+            elif merged[j, 2] * nx + merged[j, 3] * ny <= _SAME_SIDE * math.sqrt(merged[j, 2] ** 2 + merged[j, 3] ** 2):
+                continue
+            for c in range(4):
+                merged[j, c] += w * seen[i, c]
+            merged[j, 4] += w
+            merged[j, 5] += seen[i, 5]
+            break
+    for j in range(n):  # sums become means
         w, size = merged[j, 4], math.hypot(merged[j, 2], merged[j, 3])
         merged[j, 0] /= w
         merged[j, 1] /= w
         merged[j, 2] /= size
         merged[j, 3] /= size
+    return n
 
 
 @kernel
-def likelihood_field(elements, n, origin, blocks, field):
-    """Fill field (b, FINE·SIDE, FINE·SIDE), 0 to 255: how near the middle of a fine cell is to a surface."""
-    field[:] = 0
-    fine, side = CELL / FINE, FINE * SIDE
-    reach = 2
-    for j in range(n):
-        x, y = (elements[j, 0] - origin[0]) / fine, (elements[j, 1] - origin[1]) / fine
-        ix, iy = int(x), int(y)
-        for i in range(max(ix - reach, 0), ix + reach + 1):
-            for k in range(max(iy - reach, 0), iy + reach + 1):
-                bi, bk = i // side, k // side
-                if bi >= BLOCKS or bk >= BLOCKS or blocks[bi, bk] < 0:
+def likelihood_field(elements, origin, first, field, pooled):
+    """Fill field, 0 to 255: how near the middle of a fine cell is to a surface; and pooled: the maximum about it.
+
+    first (2,): the fine cell of the map at which the field begins. A coarse cell knows of two fine ones beside it.
+    """
+    fine, reach = CELL / FINE, 2
+    along, across = np.empty(2 * reach + 1), np.empty(2 * reach + 1)
+    for j in range(len(elements)):
+        x, y = (elements[j, 0] - origin[0]) / fine - first[0], (elements[j, 1] - origin[1]) / fine - first[1]
+        ix, iy = int(x) - reach, int(y) - reach
+        for i in range(2 * reach + 1):
+            along[i] = 255.0 * math.exp(-0.5 * ((ix + i + 0.5 - x) * fine / _BLUR) ** 2)
+            across[i] = math.exp(-0.5 * ((iy + i + 0.5 - y) * fine / _BLUR) ** 2)
+        for i in range(ix, ix + 2 * reach + 1):
+            for k in range(iy, iy + 2 * reach + 1):
+                value = np.uint8(along[i - ix] * across[k - iy])
+                if value <= field[i, k]:
                     continue
-                d2 = ((i + 0.5 - x) ** 2 + (k + 0.5 - y) ** 2) * fine * fine
-                value = np.uint8(255.0 * math.exp(-0.5 * d2 / (_BLUR * _BLUR)))
-                b = blocks[bi, bk]
-                if value > field[b, i % side, k % side]:
-                    field[b, i % side, k % side] = value
+                field[i, k] = value
+                for u in ((i - 2) // COARSE, (i + 2) // COARSE):
+                    for v in ((k - 2) // COARSE, (k + 2) // COARSE):
+                        pooled[u, v] = max(pooled[u, v], value)
 
 
 @kernel
-def pool(field, blocks, pooled):
-    """Fill pooled (b, s, s) with the largest value of the field in and next to each coarse cell."""
-    side = FINE * SIDE
-    pooled[:] = 0
-    for bi in range(BLOCKS):
-        for bk in range(BLOCKS):
-            b = blocks[bi, bk]
-            if b < 0:
-                continue
-            for i in range(side):
-                for k in range(side):
-                    value = field[b, i, k]
-                    if value == 0:
-                        continue
-                    for di in range(-1, 2):
-                        for dk in range(-1, 2):
-                            gi, gk = bi * side + i + 2 * di, bk * side + k + 2 * dk
-                            if gi < 0 or gk < 0 or gi >= side * BLOCKS or gk >= side * BLOCKS:
-                                continue
-                            c = blocks[gi // side, gk // side]
-                            if c >= 0:
-                                u, v = (gi % side) // COARSE, (gk % side) // COARSE
-                                if value > pooled[c, u, v]:
-                                    pooled[c, u, v] = value
-
-
-@kernel
-def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radius, grazing, rows):
+def surface_rows(points, m, stride, pose, surfaces, radius, grazing, rows):
     """Fill rows (8, …) with the returns of a scan that see a surface of the map, every `stride`th; return how many.
 
     pose (3,): of the base in the map. The surface at a point is the implicit moving least squares mean of the elements
@@ -178,6 +160,7 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
     and the variance of that over σ².
     """
     n, reach = 0, max(int(radius / CELL), 1)
+    origin, blocks, cells, elements = surfaces
     c, s, narrow = math.cos(pose[2]), math.sin(pose[2]), 1.0 / (radius * radius)
     for u in range(0, m, stride):
         rx, ry = c * points[0, u] - s * points[1, u], s * points[0, u] + c * points[1, u]
@@ -188,7 +171,7 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
         ix, iy = math.floor((qx - origin[0]) / CELL), math.floor((qy - origin[1]) / CELL)
         if ix < reach or iy < reach or ix >= SIDE * BLOCKS - reach or iy >= SIDE * BLOCKS - reach:
             continue
-        weight = distance = nx = ny = count = info = 0.0
+        weight = distance = nx = ny = info = 0.0
         for i in range(ix - reach, ix + reach + 1):
             for k in range(iy - reach, iy + reach + 1):
                 b = blocks[i // SIDE, k // SIDE]
@@ -211,20 +194,19 @@ def surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radiu
                     distance += w * (elements[j, 2] * ex + elements[j, 3] * ey)
                     nx += w * elements[j, 2]
                     ny += w * elements[j, 3]
-                    count += near * elements[j, 4]
                     info += near * elements[j, 5]
-        size = math.hypot(nx, ny)
+        size = math.sqrt(nx * nx + ny * ny)
         if weight < 1e-3 or size < 0.9 * weight:
             continue
         nx /= size
         ny /= size
         facing = nx * dx + ny * dy
-        density = count / (0.914 * radius)  # returns a metre: the integral of (1 - s²/radius²)³ is 32/35 radius
+        density = weight / (0.914 * radius)  # returns a metre: the integral of (1 - s²/radius²)³ is 32/35 radius
         rows[0, n] = nx * c + ny * s
         rows[1, n] = ny * c - nx * s
         rows[2, n] = ny * rx - nx * ry
         rows[3, n] = distance / weight
-        rows[4, n] = 1.0 / ((facing * facing + grazing * grazing) * (1.0 + 1.0 / max(count, 0.1)))
+        rows[4, n] = 1.0 / ((facing * facing + grazing * grazing) * (1.0 + 1.0 / max(weight, 0.1)))
         rows[5, n] = 1.0 / (points[8, u] * max(density, 1e-3))
         rows[6, n] = nx * rx + ny * ry
         rows[7, n] = 1.0 / max(info, 1e-12)

@@ -1,8 +1,4 @@
-"""Compiled wheel odometry: records one after the other, each into a step ξ with its covariance.
-
-`advance` is the only loop over records. What it remembers from record to record is in its arguments, so that it does
-not matter into how many calls the records are divided.
-"""
+"""Compiled wheel odometry: records one after the other, each into a step ξ with its covariance."""
 
 import math
 from typing import NamedTuple
@@ -81,11 +77,8 @@ def _possible(model, xi, dt, interval):
     if model.signal == RATES and dt > model.longest_gap:
         return False
     longest = max(dt, interval)
-    return (
-        abs(xi[0]) <= longest * model.bounds[0]
-        and abs(xi[1]) <= longest * model.bounds[1]
-        and abs(xi[2]) <= longest * model.bounds[2]
-    )
+    bounds = model.bounds
+    return abs(xi[0]) <= longest * bounds[0] and abs(xi[1]) <= longest * bounds[1] and abs(xi[2]) <= longest * bounds[2]
 
 
 @kernel
@@ -162,8 +155,7 @@ def advance(model, known, stamps, disagreement, values, before, interval, interv
     stamps (m,), disagreement (m,): on entry `known` rows of used records, then the new ones; on return the used ones.
     values (1 + new, w): row 0 is the newest used record. before (3,): ξ of the last step, 0 where it was a break.
     interval: mean interval [s] of `intervals` so far. ends (2, new), poses (new, 3), Q, R (new, 3, 3), slip (new,).
-
-    Returns: steps, first remembered row, last one, interval, intervals, and how many were refused, late, breaks.
+    Returns steps, first remembered row, last one, interval, intervals, and how many were refused, late, breaks.
     """
     xi, work = np.empty(3), np.empty((2, 3, 3))
     steps, first, last, refused, late, breaks = 0, 0, known - 1, 0, 0, 0

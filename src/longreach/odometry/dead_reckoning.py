@@ -1,14 +1,19 @@
-"""Dead reckoning: a trajectory from relative poses alone."""
+"""Dead reckoning: a trajectory from relative poses alone, and the prior of a scan's match from those of the wheels."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import EstimationError
+from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
 from longreach.odometry import _dead_reckoning_kernels
 from longreach.trajectory import PoseTrajectory
+
+_AHEAD = 0.3  # [s] that the last step of the wheels is carried on at most; a stop takes about that
 
 
 def integrate(
@@ -18,18 +23,12 @@ def integrate(
 ) -> PoseTrajectory:
     """Compose relative poses: T ← T · Δ and Σ ← Ad(Δ⁻¹) Σ Ad(Δ⁻¹)ᵀ + Q.
 
-    A row at which no measurement ends keeps the pose and the covariance of the row before. Such rows are the second one
-    of two with the same stamp, a scan without a match, and the row after a break of the wheel odometry.
+    A row at which no measurement ends keeps the pose and the covariance of the row before.
 
-    Arguments:
-        measurements: each from one of the stamps to a later one; at most one ends at a stamp.
-        stamps: of the rows (n,) [s], never backwards.
-        start: pose of the first row (3,) [m, m, rad], known exactly; None is the identity.
-
-    Returns: n rows with the covariance (3, 3) of ξ = log(mean⁻¹ · truth) [m, m, rad].
-
-    Raises:
-        EstimationError: the stamps run backwards, or a measurement's are not among them.
+    measurements: each from one of the stamps to a later one; at most one ends at a stamp. stamps (n,) [s]: of the rows,
+    never backwards. start (3,): pose of the first row, known exactly; None is the identity.
+    Returns n rows with the covariance (3, 3) of ξ = log(mean⁻¹ · truth) [m, m, rad]. Raises EstimationError where the
+    stamps run backwards, or a measurement's are not among them.
     """
     clock = np.array(stamps, dtype=float)
     n = len(clock)
@@ -59,3 +58,28 @@ def _rows(clock: np.ndarray, stamps: Sequence[float]) -> np.ndarray:
         missing = stamps[int(np.argmin(known))]
         raise EstimationError(f"A relative pose has the stamp {missing:.6f}, which is not one of the path's.")
     return rows
+
+
+def from_wheels(steps: Sequence[RelativePoseMeasurement], before: float, now: float) -> Float[np.ndarray, "3"] | None:
+    """Return the pose of the base at `now` seen from the base at `before` [s], by the wheels' steps up to `now`.
+
+    steps: in order, each from a record to a later one; those that end after `now` are left out. Between records the
+    twist is constant, after the last one it goes on. None where a step is missing, or too long ago.
+    """
+    last = bisect_right(steps, now, key=lambda step: step.stamp)
+    first = min(bisect_right(steps, before, key=lambda step: step.stamp), last - 1)
+    known = steps[max(first, 0) : last]
+    if not known or before < known[0].stamp_reference or now - known[-1].stamp > _AHEAD:
+        return None
+    if any(a.stamp != b.stamp_reference for a, b in pairwise(known)):
+        return None
+    if len(known) == 1:
+        return _part(known[0], (now - before) / (known[0].stamp - known[0].stamp_reference))
+    moved = _part(known[0], (known[0].stamp - before) / (known[0].stamp - known[0].stamp_reference))
+    for step in known[1:]:
+        moved = se2.compose(moved, step.pose)
+    return se2.compose(moved, _part(known[-1], (now - known[-1].stamp) / (known[-1].stamp - known[-1].stamp_reference)))
+
+
+def _part(step: RelativePoseMeasurement, share: float) -> np.ndarray:
+    return se2.exp(share * se2.log(step.pose))

@@ -6,18 +6,21 @@ is matched is a `ScanMatcher`'s; the default is `PointToLine`, to a local map.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.geometry import se2
 from longreach.measurement import LaserScan, RelativePoseMeasurement
-from longreach.odometry.lidar_config import LidarConfig
+from longreach.odometry import _lidar_kernels
+from longreach.odometry._lidar_kernels import PriorSettings
+from longreach.odometry.matchers._point_to_line_kernels import FitSettings
 from longreach.odometry.matchers.point_to_line import PointToLine
 from longreach.odometry.matchers.range_flow import RangeFlow, RangeFlowConfig
-from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior, ScanMatcher
+from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior, ScanMatch, ScanMatcher
 from longreach.odometry.matchers.symmetric_flow import SymmetricFlow
 from longreach.odometry.scan_geometry import (
     FEWEST_BEAMS,
@@ -27,9 +30,8 @@ from longreach.odometry.scan_geometry import (
     scan_geometry,
     share_of_a_beam,
 )
-from longreach.odometry.scan_match import ScanMatch
 
-__all__ = ["LidarConfig", "LidarState", "init", "lidar_odometry", "step"]
+__all__ = ["LidarConfig", "LidarState", "Method", "ScanMatch", "init", "lidar_odometry", "step"]
 
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
 _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
@@ -38,10 +40,49 @@ _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
 _FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
+_NONE, _UNKNOWN = np.zeros(3), np.full((3, 3), np.nan)  # variance of a pose that is known; noise of one that is not
+
+Method = Literal["point-to-line", "keyscan-flow", "three-scan-flow", "range-flow"]
 
 
-@dataclass(frozen=True, eq=False)
-class LidarState:
+class LidarConfig(BaseModel):
+    """Parameters of LIDAR odometry; the defaults serve 180 to 1081 beams at 5 to 40 Hz."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: Method = Field(default="point-to-line", description="How scans are matched: see docs/estimation.md.")
+    iterations: int = Field(default=20, ge=1, le=100, description="Linearisations a match at most [1].")
+    gate: float = Field(default=5.0, gt=1, description="Residuals beyond this many deviations take no part [1].")
+    grazing: float = Field(default=0.2, gt=0, description="Of the noise, across a wall that is along the beam [1].")
+    worst: float = Field(default=4.0, gt=0, description="Scatter of the residuals at most, in noises of a range [1].")
+    flat: float = Field(default=0.01, gt=0, description="Scatter of the residuals at least: no map is better [m].")
+    prior_position: float = Field(default=0.01, gt=0, description="Least deviation of the predicted position [m].")
+    prior_heading: float = Field(default=0.01, gt=0, description="The same of the heading [rad].")
+    prior_motion: float = Field(default=0.2, gt=0, description="Deviation over the predicted motion: wheels slip [1].")
+    prior_acceleration: tuple[float, float] = Field(default=(1.0, 2.0), description="Unknown ones [m/s², rad/s²].")
+    known: float = Field(default=3.0, ge=1, description="Information over that from errors of directions [1]; ours.")
+    common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
+    coarse: float = Field(default=0.4, gt=0, description="Radius of a surface in the first fit [m].")
+    fine: float = Field(default=0.18, gt=0, description="Radius of a surface in the last fit [m].")
+    distance: float = Field(default=0.25, gt=0, description="From the nearest keyframe to a new one [m]; ours.")
+    turned: float = Field(default=1 / 18, gt=0, description="The same, in fields of view turned by [1]; ours.")
+    overlap: float = Field(default=0.6, gt=0, lt=1, description="Beams that the map explains at least [1]; ours.")
+    speed: float = Field(default=1.0, gt=0, description="What a base may drive where scans do not tell [m/s].")
+    turn: float = Field(default=1.0, gt=0, description="What a base may turn where scans do not tell [rad/s].")
+
+    @cached_property
+    def fit(self) -> FitSettings:
+        """The settings of a fit, as the kernels take them."""
+        return FitSettings(*(getattr(self, name) for name in FitSettings._fields))
+
+    @cached_property
+    def prior(self) -> PriorSettings:
+        """The settings of a prior, as the kernels take them."""
+        deviations = self.prior_position, self.prior_heading, self.prior_motion
+        return PriorSettings(*deviations, *self.prior_acceleration, self.speed, self.turn)
+
+
+class LidarState(NamedTuple):
     """What LIDAR odometry remembers.
 
     reference: what scans are matched against, None before the first. stamp: of the last scan [s].
@@ -56,15 +97,15 @@ class LidarState:
     config: LidarConfig
     matcher: ScanMatcher
     T_base_laser: Float[np.ndarray, "4 4"]
+    keyframe_pose: Float[np.ndarray, "3"]
+    pose: Float[np.ndarray, "3"]
+    variance: Float[np.ndarray, "3"]
+    motion: Float[np.ndarray, "2 3"]
+    predicted: Float[np.ndarray, "3"]
     reference: Any = None
     stamp: float = -math.inf
     keyframe: float = -math.inf
-    keyframe_pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     keyframe_noise: Float[np.ndarray, "3 3"] | None = None
-    pose: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    variance: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    motion: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
-    predicted: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     observed: float = math.inf
     lost: int = 0
     geometries: tuple[ScanGeometry, ...] = ()
@@ -80,18 +121,13 @@ def matcher_of(config: LidarConfig) -> ScanMatcher:
 
 
 def init(config: LidarConfig, T_base_laser: Float[np.ndarray, "4 4"]) -> LidarState:
-    """Start before any scan, with a laser mounted at T_base_laser.
-
-    Raises:
-        EstimationError: the laser's plane is tilted by more than 15° against the floor.
-    """
+    """Start before any scan; raise EstimationError where the laser's plane is tilted by more than 15°."""
     check_mount(T_base_laser)
-    return LidarState(config, matcher_of(config), T_base_laser)
+    none = np.zeros(3)
+    return LidarState(config, matcher_of(config), T_base_laser, none, none, none, np.zeros((2, 3)), none)
 
 
-def step(
-    state: LidarState, scan: LaserScan, prior: Float[np.ndarray, "3"] | None = None
-) -> tuple[LidarState, ScanMatch]:
+def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) -> tuple[LidarState, ScanMatch]:
     """Match a scan against the reference.
 
     prior: predicted pose (3,) of the base at this scan seen from the base at the last one; None: it moves on as it did.
@@ -99,37 +135,40 @@ def step(
     if len(scan.ranges) < FEWEST_BEAMS:
         reason = f"the scan has {len(scan.ranges)} beams, where at least {FEWEST_BEAMS} are needed"
         return state, ScanMatch(scan.stamp, None, reason, 0)
-    if prior is not None and not np.isfinite(prior).all():
+    if prior is not None and not all(map(math.isfinite, prior)):
         prior = None
     period = scan.stamp - state.stamp if math.isfinite(state.stamp) else math.inf
     state, geometry = _geometry(state, scan)
     features = _features(state, scan, geometry, prior, period)
     if state.reference is None:
-        state, enough = replace(state, stamp=scan.stamp, observed=scan.stamp), features.count >= _FEWEST
+        state, enough = state._replace(stamp=scan.stamp, observed=scan.stamp), features.count >= _FEWEST
         reason = "the scan is the first" if enough else f"only {features.count} beams see something"
         match = ScanMatch(scan.stamp, None, reason, 0, keyframe=enough)
-        return (_restarted(state, features, geometry) if enough else state), match
+        return (_restarted(state, features) if enough else state), match
     going_on = np.zeros(3) if _is_too_fast(state.motion[0], period) else state.motion[0]  # after a gap
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
     if prior is not None:
-        state = replace(state, predicted=_mean(before, twist, period))
-    moved = se2.exp(twist)
-    expected = _prior(state, moved, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
+        state = state._replace(predicted=_mean(before, twist, period))
+    expected = _prior(state, twist, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
     fit = state.matcher.match(features, state.reference, geometry, expected)
     poor = isinstance(fit, str) or fit.inlier_ratio < _POOR
     if prior is not None and period < _RECENT and poor:  # wheels may have jumped
-        goes_on = _prior(state, se2.exp(going_on), scan.stamp, period, False)
+        goes_on = _prior(state, going_on, scan.stamp, period, False)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
         if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
             fit = other
-    if not isinstance(fit, str) and _is_too_fast(se2.between(state.pose, fit.pose), period):
+    if not isinstance(fit, str):
+        moved = se2.between(state.pose, fit.pose)
+        if not _is_too_fast(moved, period):
+            return _matched(state, scan, features, geometry, fit, moved)
         fit = "it would have moved the base faster than a base moves"
-    if isinstance(fit, str):
-        if prior is not None:  # it alone shows how the motion goes on
-            state = replace(state, motion=np.array([twist, state.motion[1] + state.predicted - before]))
-        return _failed(state, scan, features, geometry, expected, fit, prior is not None)
-    return _matched(state, scan, features, geometry, fit)
+    state, match = _failed(state._replace(stamp=scan.stamp), features, expected, fit)
+    if prior is not None:  # it alone shows how the motion goes on
+        state = state._replace(motion=np.array([twist, state.motion[1] + state.predicted - before]))
+    elif match.keyframe:
+        state = state._replace(motion=np.zeros((2, 3)))
+    return state, match
 
 
 def _is_too_fast(moved: np.ndarray, period: float) -> bool:
@@ -144,7 +183,7 @@ def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeome
         if same_kind(scan, known):
             return state, known
     geometry = scan_geometry(scan, state.T_base_laser, 5)
-    return replace(state, geometries=(*state.geometries, geometry)[-4:]), geometry
+    return state._replace(geometries=(*state.geometries, geometry)[-4:]), geometry
 
 
 def _features(
@@ -168,109 +207,58 @@ def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
     return mean + -math.expm1(-period / _LASTING) * (last - mean)
 
 
-def _prior(state: LidarState, moved: np.ndarray, stamp: float, unknown: float, by_wheels: bool) -> Prior:
-    """Predict the base's pose in the reference, wide: it says where to look, and not what to find.
-
-    unknown [s]: for how long the base may have accelerated without the prediction knowing of it. by_wheels: whether it
-    is the wheels', which are off by a part of the way since the keyframe where scans do not show it.
+def _prior(state: LidarState, twist: np.ndarray, stamp: float, unknown: float, by_wheels: bool) -> Prior:
+    """Predict the base's pose in the reference, wide: it says where to look, and not what to find (`predict`).
 
     What has not been observed for a while is off by ever more of the same, not at random: its deviation grows with
     time, from keyframe to keyframe, so that the variance of this match is what is left of that since the keyframe.
     """
-    config = state.config
-    far, turned = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
-    linear, angular = (a * min(unknown, 1.0) ** 2 for a in config.prior_acceleration)
-    at = config.prior_position + config.prior_motion * far + linear
-    to = config.prior_heading + config.prior_motion * turned + 0.1 * far + angular
-    sigma = np.sqrt(state.variance + np.array([at * at, at * at, to * to]))
     observed = min(state.observed, state.keyframe)
     growth = (stamp - observed) ** 2 - (state.keyframe - observed) ** 2
-    free = np.array([config.speed, config.speed, config.turn]) ** 2 * growth
-    pose, astray = se2.compose(state.pose, moved), free
-    if by_wheels:
-        away = se2.between(state.keyframe_pose, pose)
-        far, turned = math.hypot(away[0], away[1]), abs(float(away[2]))
-        at, to = config.prior_position + config.prior_motion * far, config.prior_heading + config.prior_motion * turned
-        astray = np.minimum(free, np.array([at * at, at * at, to * to]))
-    return Prior(pose, sigma, free, astray)
+    settings, at = state.config.prior, (state.pose, state.variance, state.keyframe_pose)
+    return Prior(*_lidar_kernels.predict(settings, *at, twist, unknown, growth, by_wheels))
 
 
-def _restarted(state: LidarState, features: Features, geometry: ScanGeometry) -> LidarState:
+def _restarted(state: LidarState, features: Features) -> LidarState:
     """Return the state with a new reference, of which this scan is the only keyframe."""
-    reference, pose = state.matcher.extended(None, features, geometry, None)
-    return replace(
-        state,
-        reference=reference,
-        keyframe=state.stamp,
-        keyframe_pose=pose,
-        keyframe_noise=None,
-        pose=pose,
-        variance=np.zeros(3),
-        lost=0,
-    )
+    reference, pose = state.matcher.extended(None, features, None)
+    state = state._replace(keyframe=state.stamp, keyframe_pose=pose, keyframe_noise=None)
+    return state._replace(reference=reference, pose=pose, variance=_NONE, lost=0)
 
 
-def _failed(
-    state: LidarState,
-    scan: LaserScan,
-    features: Features,
-    geometry: ScanGeometry,
-    prior: Prior,
-    reason: str,
-    predicted: bool,
-) -> tuple[LidarState, ScanMatch]:
+def _failed(state: LidarState, features: Features, prior: Prior, reason: str) -> tuple[LidarState, ScanMatch]:
     """Go on with the prior; after some scans in a row that see enough, start anew where the base is thought to be."""
-    state = replace(state, stamp=scan.stamp, pose=prior.pose, variance=prior.sigma**2)
-    if features.count < _FEWEST:
-        return state, ScanMatch(scan.stamp, None, reason, 0)
-    if state.lost + 1 < _LOST:
-        return replace(state, lost=state.lost + 1), ScanMatch(scan.stamp, None, reason, 0)
-    motion = state.motion if predicted else np.zeros((2, 3))
-    state = replace(_restarted(state, features, geometry), motion=motion)
-    return state, ScanMatch(scan.stamp, None, reason, 0, keyframe=True)
+    state = state._replace(pose=prior.pose, variance=prior.sigma**2)
+    enough = features.count >= _FEWEST
+    lost = enough and state.lost + 1 >= _LOST
+    state = _restarted(state, features) if lost else state._replace(lost=state.lost + enough)
+    return state, ScanMatch(state.stamp, None, reason, 0, keyframe=lost)
 
 
 def _matched(
-    state: LidarState, scan: LaserScan, features: Features, geometry: ScanGeometry, fit: Fit
+    state: LidarState, scan: LaserScan, features: Features, geometry: ScanGeometry, fit: Fit, moved: np.ndarray
 ) -> tuple[LidarState, ScanMatch]:
     """Tell where the base is relative to the newest keyframe, and make the scan one where it is far from all."""
-    config = state.config
-    moved, pose = se2.between(state.pose, fit.pose), se2.between(state.keyframe_pose, fit.pose)
-    A, shared = se2.adjoint(se2.inverse(pose)), fit.shared
-    if state.keyframe_noise is not None:  # which has the map's own error in it
-        shared = A @ state.keyframe_noise @ A.T
-    measurement = RelativePoseMeasurement(
-        state.keyframe, scan.stamp, pose, fit.covariance - fit.shared + shared, "lidar", shared_covariance=shared
+    config, noise, matcher = state.config, state.keyframe_noise, state.matcher
+    keyframe = state.keyframe_pose, _UNKNOWN if noise is None else noise
+    found, last = (
+        (fit.pose, fit.covariance, fit.shared),
+        (moved, state.motion[1], (scan.stamp - state.stamp) / _LASTING),
     )
+    pose, covariance, shared, motion = _lidar_kernels.relate(*keyframe, *found, *last)
+    measurement = RelativePoseMeasurement(state.keyframe, scan.stamp, pose, covariance, "lidar", None, shared)
     blind = len(fit.directions) > 0
-    is_keyframe = state.matcher.is_far(fit, features, geometry, state.reference) or (
-        blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance
-    )
-    last = se2.log(moved)
-    motion = np.array([last, _mean(state.motion[1], last, scan.stamp - state.stamp)])
-    match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved)
-    state = replace(
-        state,
-        stamp=scan.stamp,
-        pose=fit.pose,
-        variance=np.zeros(3),
-        motion=motion,
-        observed=state.observed if blind else scan.stamp,
-        lost=0,
-    )
-    if not is_keyframe:
-        return replace(state, reference=state.matcher.followed(state.reference, features, fit)), match
-    reference, pose = state.matcher.extended(state.reference, features, geometry, fit)
-    noise = _noise_in_map(fit) if np.array_equal(pose, fit.pose) else None
-    state = replace(
-        state,
-        reference=reference,
-        keyframe=scan.stamp,
-        keyframe_pose=pose,
-        keyframe_noise=noise,
-        pose=pose,
-    )
-    return state, replace(match, keyframe_noise=noise)
+    observed = state.observed if blind else scan.stamp
+    state = state._replace(stamp=scan.stamp, pose=fit.pose, variance=_NONE, motion=motion, observed=observed, lost=0)
+    is_keyframe, noise = matcher.is_far(fit, features, geometry, state.reference), None
+    if is_keyframe or (blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance):
+        reference, pose = matcher.extended(state.reference, features, fit)
+        is_keyframe, noise = True, _noise_in_map(fit) if np.array_equal(pose, fit.pose) else None
+        state = state._replace(keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose)
+    else:
+        reference = matcher.followed(state.reference, features, fit)
+    match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved, noise)
+    return state._replace(reference=reference), match
 
 
 def _noise_in_map(fit: Fit) -> np.ndarray:
@@ -279,6 +267,8 @@ def _noise_in_map(fit: Fit) -> np.ndarray:
     There its pose is the prior's, and so are those of later scans, which go on from it. A reference that begins anew
     with a scan has none of this error.
     """
+    if len(fit.directions) == 0:
+        return fit.covariance
     seen = np.eye(3) - np.linalg.pinv(fit.directions) @ fit.directions
     return seen @ fit.covariance @ seen
 

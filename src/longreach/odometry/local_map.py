@@ -3,14 +3,18 @@
 Its frame is that in which the first keyframe stood at the origin; keyframes are placed where they were matched, once.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
+from statistics import median
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from longreach.odometry import _local_map_kernels as _kernels
+from longreach.odometry._local_map_kernels import Surfaces
 from longreach.odometry.matchers.scan_matcher import Features
 
 _MOST = 40  # keyframes: more do not make it better (benchmarks/recordings.py), fewer let it drift
@@ -25,34 +29,39 @@ class Keyframe:
     elements: Float[np.ndarray, "k 6"]
     noise: float
 
+    @cached_property
+    def in_map(self) -> Float[np.ndarray, "k 6"]:
+        """The elements in the map's frame."""
+        found, (x, y, t) = self.elements.copy(), self.pose.tolist()
+        c, s = math.cos(t), math.sin(t)
+        found[:, 0], found[:, 1] = c * found[:, 0] - s * found[:, 1] + x, s * found[:, 0] + c * found[:, 1] + y
+        found[:, 2], found[:, 3] = c * found[:, 2] - s * found[:, 3], s * found[:, 2] + c * found[:, 3]
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class LocalMap:
-    """Keyframes, oldest first, and their surfaces merged; arrays as of `_local_map_kernels`."""
+    """Keyframes, oldest first, with their poses and the median of their noise [m], and their surfaces merged."""
 
     keyframes: tuple[Keyframe, ...]
-    origin: Float[np.ndarray, "2"]
-    blocks: Int[np.ndarray, "b b"]
-    cells: Int[np.ndarray, "n c c 2"]
-    elements: Float[np.ndarray, "m 6"]
+    surfaces: Surfaces
     noise: float
     poses: Float[np.ndarray, "k 3"]
 
     @cached_property
     def field(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The likelihood field and its maxima, for a correlative search, with its blocks; made when first asked for.
-
-        It has the blocks next to surfaces, too: a surface at the border of its block reaches into the next one.
-        """
-        near = np.lib.stride_tricks.sliding_window_view(np.pad(self.blocks >= 0, 1), (3, 3)).any(axis=(2, 3))
-        blocks, count = np.full_like(self.blocks, -1), np.count_nonzero(near)
-        blocks[near] = np.arange(count)
-        side = _kernels.FINE * _kernels.SIDE
-        field = np.empty((count, side, side), np.uint8)
-        _kernels.likelihood_field(self.elements, len(self.elements), self.origin, blocks, field)
-        pooled = np.empty((count, side // _kernels.COARSE, side // _kernels.COARSE), np.uint8)
-        _kernels.pool(field, blocks, pooled)
-        return blocks, field, pooled
+        """Where the likelihood field begins, it and its maxima, for a correlative search; made when first asked for."""
+        corner = self.surfaces.origin
+        coarse = _kernels.CELL / _kernels.FINE * _kernels.COARSE
+        elements = self.surfaces.elements
+        positions = elements[:, :2] if len(elements) else corner[None]
+        first = np.floor((positions.min(axis=0) - corner) / coarse).astype(np.int64) - 2  # the field ends in zeros
+        shape = np.floor((positions.max(axis=0) - corner) / coarse).astype(np.int64) + 3 - first
+        pooled = np.zeros(shape, np.uint8)
+        field = np.zeros(_kernels.COARSE * shape, np.uint8)
+        first *= _kernels.COARSE
+        _kernels.likelihood_field(elements, corner, first, field, pooled)
+        return first, field, pooled
 
 
 def keyframe(features: Features, pose: Float[np.ndarray, "3"]) -> Keyframe:
@@ -64,17 +73,17 @@ def keyframe(features: Features, pose: Float[np.ndarray, "3"]) -> Keyframe:
 
 def merged(keyframes: Sequence[Keyframe]) -> LocalMap:
     """Merge the surfaces of keyframes, as many and as near to the newest as a map takes."""
-    pose = keyframes[-1].pose
-    near = [k for k in keyframes[-_MOST:] if (k.pose[0] - pose[0]) ** 2 + (k.pose[1] - pose[1]) ** 2 <= _FARTHEST**2]
-    total = sum(len(k.elements) for k in near)
+    poses = np.array([k.pose for k in keyframes[-_MOST:]])
+    pose = poses[-1]
+    near = (poses[:, 0] - pose[0]) ** 2 + (poses[:, 1] - pose[1]) ** 2 <= _FARTHEST**2
+    kept, poses = tuple(compress(keyframes[-_MOST:], near)), poses[near]
+    seen = np.concatenate([k.in_map for k in kept])
     width = _kernels.SIDE * _kernels.CELL  # cells stay where they are in the map
     origin = width * (np.floor(pose[:2] / width) - _kernels.BLOCKS // 2)
-    blocks = np.full((_kernels.BLOCKS, _kernels.BLOCKS), -1, np.int64)
-    cells = np.empty((min(total, _kernels.BLOCKS**2), _kernels.SIDE, _kernels.SIDE, 2), np.int32)
-    elements, used = np.empty((total, _kernels.ELEMENT)), np.zeros(2, np.int64)
-    for k in near:
-        _kernels.merge(k.elements, k.pose, origin, blocks, cells, used, elements)
-    _kernels.finish(elements, used[1])
-    noise = float(np.median([k.noise for k in near]))
-    poses = np.array([k.pose for k in near])
-    return LocalMap(tuple(near), origin, blocks, cells[: used[0]].copy(), elements[: used[1]].copy(), noise, poses)
+    blocks, at = np.full((_kernels.BLOCKS, _kernels.BLOCKS), -1), np.empty((len(seen), 2), np.int64)
+    count = _kernels.find_blocks(seen, origin, blocks, at)
+    cells = np.full((count, _kernels.SIDE, _kernels.SIDE, 2), -1, np.int32)
+    surfaces = Surfaces(origin, blocks, cells, np.empty_like(seen))
+    n = _kernels.merge(seen, at, surfaces)
+    surfaces = surfaces._replace(elements=surfaces.elements[:n].copy())
+    return LocalMap(kept, surfaces, median([k.noise for k in kept]), poses)

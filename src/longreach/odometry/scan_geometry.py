@@ -33,11 +33,6 @@ class ScanGeometry:
         """Angle between the first and the last beam [rad]."""
         return self.beams * float(self.increments[0])
 
-    @property
-    def finest(self) -> tuple[Float[np.ndarray, " beams"], Float[np.ndarray, " beams"]]:
-        """Cosines and sines of all beams."""
-        return self.cos[: self.beams], self.sin[: self.beams]
-
 
 def check_mount(T_base_laser: Float[np.ndarray, "4 4"]) -> None:
     """Raise EstimationError where the laser's plane is tilted by more than 15° against the floor."""
@@ -50,9 +45,7 @@ def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], level
     """Make the tables for scans like this one, from a laser mounted at T_base_laser.
 
     A laser upside down, or one that counts its beams clockwise, is turned into one that counts counter-clockwise.
-
-    Raises:
-        EstimationError: the laser's plane is tilted by more than 15° against the floor, or it has fewer than 8 beams.
+    Raises EstimationError where it is tilted by more than 15° against the floor, or has fewer than 8 beams.
     """
     check_mount(T_base_laser)
     beams = len(scan.ranges)
@@ -67,35 +60,22 @@ def scan_geometry(scan: LaserScan, T_base_laser: Float[np.ndarray, "4 4"], level
     while len(sizes) < levels and sizes[-1] >= 16:
         sizes.append((sizes[-1] + 1) // 2)
     angles = np.concatenate([first + increment * 2**level * np.arange(n) for level, n in enumerate(sizes)])
-    return ScanGeometry(
-        beams=beams,
-        angle_min=scan.angle_min,
-        angle_increment=scan.angle_increment,
-        flipped=flipped,
-        pose_base_laser=se2.from_se3(T_base_laser),
-        start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        cos=np.cos(angles),
-        sin=np.sin(angles),
-        increments=increment * 2.0 ** np.arange(len(sizes)),
-    )
+    start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    pose, increments = se2.from_se3(T_base_laser), increment * 2.0 ** np.arange(len(sizes))
+    kind = beams, scan.angle_min, scan.angle_increment
+    return ScanGeometry(*kind, flipped, pose, start, np.cos(angles), np.sin(angles), increments)
 
 
 def same_kind(scan: LaserScan, geometry: ScanGeometry) -> bool:
     """Whether a scan has the beams that the tables are for."""
-    return _same_beams(geometry, len(scan.ranges), scan.angle_min, scan.angle_increment)
+    start, step = scan.angle_min - geometry.angle_min, scan.angle_increment - geometry.angle_increment
+    return bool(len(scan.ranges) == geometry.beams and abs(start) < 1e-6 and abs(step) < 1e-9)
 
 
 def same_tables(a: ScanGeometry, b: ScanGeometry) -> bool:
     """Whether two kinds of scans are one."""
-    return a is b or _same_beams(a, b.beams, b.angle_min, b.angle_increment)
-
-
-def _same_beams(geometry: ScanGeometry, beams: int, angle_min: float, angle_increment: float) -> bool:
-    return bool(
-        beams == geometry.beams
-        and abs(angle_min - geometry.angle_min) < 1e-6
-        and abs(angle_increment - geometry.angle_increment) < 1e-9
-    )
+    start, step = a.angle_min - b.angle_min, a.angle_increment - b.angle_increment
+    return bool(a.beams == b.beams and abs(start) < 1e-6 and abs(step) < 1e-9)
 
 
 def share_of_a_beam(scan: LaserScan, period: float) -> float:

@@ -1,50 +1,29 @@
 """Wheel odometry: the base's motion between two wheel records, with its covariance.
 
-`init` and `step` take the records of one robot as they come. `wheel_odometry` is one `step` over all records of a
-recording. Results do not depend on how records are divided into calls of `step`, to the last bit.
+`init` and `step` take the records of one robot as they come; `wheel_odometry` is one `step` over a recording. Results
+do not depend on how records are divided into calls, to the last bit. Sources: (3.19)–(3.23); Chong & Kleeman 1997,
+"Accurate odometry and error modelling for a mobile robot". Figures of its consistency are in docs/estimation.md.
 
-**Motion.** Each step is the SE(2) exponential of a body displacement ξ, the motion at a constant twist; the driver of
-the thesis' base integrates by backward Euler. Encoder counts and wheel angles are differenced. Speeds and twists hold
-for an instant; a step takes the mean of the two at its ends (trapezoid rule), which is right to second order, where the
-last one alone would lag by half a step. The poses of a robot's own driver are taken relative to each other; its twists
-are used only where it gives no poses.
+**Motion.** A step is the SE(2) exponential of a body displacement ξ: counts and angles are differenced, of speeds and
+twists the mean of both ends is taken (trapezoid rule), poses of a robot's own driver are taken relative to each other.
 
-**Covariance.** `constant` is the thesis' (3.23). The default, `growing`, is a random walk whose variance is in
-proportion to the distance d and to the angle φ turned (`robot.description.WheelNoise`),
+**Covariance.** `constant` is (3.23). `growing` is a random walk over the distance d and the angle φ (`WheelNoise`),
 
     along the direction of travel  along² d + turning² φ + rest² dt,    across it  across² d + turning² φ + rest² dt,
     heading  heading_travel² d + heading_turning² φ + heading_rest² dt,
 
-carried to the end of the step, Q = ∫ Ad(exp(-sξ)) (…) Ad(exp(-sξ))ᵀ ds. The integral gives the cross terms: on a
-straight line cov(y, θ) = d/2 · var θ, because an early error of the heading has become one of y. So the covariance of a
-motion does not depend on the number of records that it is divided into.
+carried to the end of the step, Q = ∫ Ad(exp(-sξ)) (…) Ad(exp(-sξ))ᵀ ds, so that it does not depend on the number of
+records in a motion. Where four wheels disagree, they slip: the part of their motion that no twist explains
+(`residual_matrix`) is summed to ρ over `slip_window`, and adds ρ² for x, y and (ρ/k)² for θ in each window.
 
-**Slip.** Four wheels measure three velocities; where they disagree they slip. The part of their motion that no twist
-explains (`residual_matrix`) is summed to a distance ρ over the last `slip_window`. It adds ρ² for x and y and (ρ/k)²
-for θ in each window. A window is used because the rounding of encoder counts comes and goes from record to record, and
-would be counted each time.
+**Reading covariance.** An encoder reading has an error that does not add up: rounding, and an age that is uniform over
+a step, of mean square ξξᵀ/3; the mean of the step to the reading and the one before.
 
-**Reading covariance.** An encoder reading has an error of its own, which does not add up from step to step: rounding,
-and age. A message holds the encoder's last state, read at some time since the message before. The age is uniform over
-one step, so its mean square is ξξᵀ/3, here the mean of the step to the reading and the one before. (In CARMEN's logs
-the pose beside a scan is the last one of the wheels' own messages, up to 0.2 s old.)
+**Breaks.** A step `break_factor` times faster than the robot can be is no motion, and no measurement bridges it. Delays
+move stamps, so a step may take the mean interval of the last 50 where its own is shorter.
 
-**Breaks.** A step that is `break_factor` times faster than the robot can be is no motion; an encoder was reset or
-miscounted, and no measurement bridges it. A late message makes the interval before it long and the one after it short,
-down to nothing, so a step may take the mean interval where its own is shorter. The mean is taken over the last 50
-intervals: delays move stamps, but neither the number of messages nor the time that they span. A pause counts as
-`longest_gap` at most. (On the Intel log, with up to 13 messages in 13 ms after a pause of a second, the median of the
-last 51 intervals takes 342 good steps for breaks, the mean none.)
-
-**Input that cannot be used** is passed over and counted: numbers that are not finite (`refused`), and a stamp before
-the newest one (`late`). Of records with one stamp the first is used, because its step was given out when it came. No
-motion is lost thereby: the next step starts from it.
-
-Consistency with one set of numbers, as the root of the mean NEES per degree of freedom (1 is ideal): 1.0 on the Intel
-log's relations of up to 5 s; 1.0 across and 0.8 in heading on those of ACES; 1.0 to 1.8 on the mecanum base of polimi
-over 1 to 10 s, whose nominal wheel radii are known to be 5 % off, which no random error describes.
-
-Source: (3.19)–(3.23); Chong & Kleeman 1997, "Accurate odometry and error modelling for a mobile robot".
+Records with numbers that are not finite (`refused`) or a stamp before the newest (`late`) are passed over and counted;
+of records with one stamp the first is used. No motion is lost thereby: the next step starts from it.
 """
 
 from collections.abc import Sequence
@@ -56,16 +35,10 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.errors import EstimationError
-from longreach.measurement import (
-    Odometry,
-    RelativePoseMeasurement,
-    Wheels,
-    WheelSpeeds,
-    frozen_array,
-)
+from longreach.measurement import Odometry, RelativePoseMeasurement, Wheels, WheelSpeeds, frozen_array
 from longreach.odometry import _wheel_kernels
 from longreach.odometry._wheel_kernels import COUNTS, POSES, RATES, Model
-from longreach.robot.description import RobotDescription, WheelNoise
+from longreach.robot.description import RobotDescription
 
 _FLOOR = 1e-10  # [m², rad²], of a reading: a hundredth of a millimetre keeps covariances definite
 _Variance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -76,26 +49,14 @@ class WheelConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    covariance: Literal["growing", "constant"] = Field(
-        default="growing", description="growing with motion; constant: (3.23), whatever the robot does."
-    )
+    covariance: Literal["growing", "constant"] = Field(default="growing", description="With motion; or as of (3.23).")
     twist_variance: tuple[_Variance, _Variance, _Variance] = Field(
         default=(0.001, 0.001, 0.03), description="Of one twist, where constant [m²/s², m²/s², rad²/s²]; (3.23)."
     )
-    twist_rate: _Variance = Field(
-        default=50.0, description="Twists a second that (3.23) was found at [Hz]; the Ridgeback's."
-    )
-    break_factor: float = Field(
-        default=3.0,
-        gt=1,
-        description="A motion this many times faster than the robot can go is an encoder fault [1]; ours.",
-    )
-    longest_gap: float = Field(
-        default=1.0, gt=0, description="Speeds further apart in time say nothing of the motion between them [s]; ours."
-    )
-    slip_window: float = Field(
-        default=0.1, gt=0, description="How long a slip lasts [s]; a wheel regains its grip in that."
-    )
+    twist_rate: _Variance = Field(default=50.0, description="Twists a second that (3.23) was found at [Hz].")
+    break_factor: float = Field(default=3.0, gt=1, description="Over a robot's speed, an encoder's fault [1]; ours.")
+    longest_gap: float = Field(default=1.0, gt=0, description="Between speeds that show the motion [s]; ours.")
+    slip_window: float = Field(default=0.1, gt=0, description="How long a slip lasts until a wheel grips again [s].")
 
 
 class _Signal(NamedTuple):
@@ -111,13 +72,10 @@ class WheelState(NamedTuple):
     """What wheel odometry knows after the newest record. Arrays are read-only.
 
     signal: what the records hold, fixed by the first one; None before it.
-    stamps (k,), disagreement (k,): of the records in the slip window [s], the newest one last; how far [m] the wheels
-        disagree in the step that ends at each.
-    values (1, w): numbers of the newest record.
-    displacement (3,): ξ of the last step [m, m, rad], zeros where it was a break.
+    stamps (k,) [s], disagreement (k,) [m]: of the records in the slip window, and of the wheels in the steps to them.
+    values (1, w): numbers of the newest record. displacement (3,): ξ of the last step [m, m, rad], zeros at a break.
     interval, intervals: mean interval between records [s], and how many there were.
-    breaks: steps that no wheel can have made, and those of speeds across too long a gap; no measurement bridges them.
-    refused, late: records with a number that is not finite, and with a stamp before the newest; they are passed over.
+    breaks: steps that no wheel made, or of speeds across too long a gap. refused, late: records that are passed over.
     """
 
     robot: RobotDescription
@@ -138,8 +96,7 @@ class WheelState(NamedTuple):
 class WheelOdometry:
     """Wheel odometry of a whole recording: steps (`source` wheels), and what was left out.
 
-    breaks, refused: as in `WheelState`.
-    slip: for each measurement the slip speed (n,) [m/s] over its window, None where slip cannot be observed.
+    breaks, refused: as in `WheelState`. slip (n,): speed [m/s] over each one's window, None where it is not observed.
     """
 
     measurements: tuple[RelativePoseMeasurement, ...]
@@ -156,12 +113,8 @@ def init(robot: RobotDescription, config: WheelConfig | None = None) -> WheelSta
 def step(state: WheelState, records: Sequence[Wheels]) -> tuple[WheelState, tuple[RelativePoseMeasurement, ...]]:
     """Take new records, in order of their stamps; return the steps that they end.
 
-    Arguments:
-        records: all of the kind of the first one, which fixes what is read of them. Where the first is an `Odometry`
-            with a pose, that is the pose.
-
-    Raises:
-        EstimationError: the records are of several kinds, or the description has no such wheels. The state stays valid.
+    All records are of the kind of the first one, which fixes what is read: of an `Odometry` the pose, if it has one.
+    Raises EstimationError where they are of several kinds, or the description has no such wheels.
     """
     state, steps, _ = _advance(state, records)
     return state, steps
@@ -170,11 +123,7 @@ def step(state: WheelState, records: Sequence[Wheels]) -> tuple[WheelState, tupl
 def wheel_odometry(
     wheels: Sequence[Wheels], robot: RobotDescription, config: WheelConfig | None = None
 ) -> WheelOdometry:
-    """Turn the wheel records of a recording into steps: `step` over all of them.
-
-    Raises:
-        EstimationError: as `step`, or the records are out of order.
-    """
+    """Turn the wheel records of a recording into steps; raise EstimationError as `step`, or if out of order."""
     state, steps, slip = _advance(init(robot, config), wheels)
     if state.late:
         raise EstimationError("The stamps of the wheel records run backwards; repair them with monotone_clock.")
@@ -199,30 +148,14 @@ def _advance(
     count, first, last, interval, intervals, refused, late, breaks = _wheel_kernels.advance(
         signal.model, *memory, ends, poses, Q, R, slip
     )
-    state = WheelState(
-        robot=state.robot,
-        config=state.config,
-        signal=signal,
-        stamps=_read_only(stamps[first : last + 1]),
-        disagreement=_read_only(disagreement[first : last + 1]),
-        values=_read_only(values[:1]),
-        displacement=_read_only(displacement),
-        interval=interval,
-        intervals=intervals,
-        breaks=state.breaks + breaks,
-        refused=state.refused + refused,
-        late=state.late + late,
-    )
+    arrays = (stamps[first : last + 1], disagreement[first : last + 1], values[:1], displacement)
+    memory = (*[frozen_array(a, a.shape, "WheelState") for a in arrays], interval, intervals)
+    left_out = (state.breaks + breaks, state.refused + refused, state.late + late)
+    state = WheelState._make((state.robot, state.config, signal, *memory, *left_out))
     starts, stops = ends[:, :count].tolist()
     rows = zip(starts, stops, poses, Q, R if signal.model.growing else [None] * count, strict=False)
     steps = tuple([RelativePoseMeasurement(start, stop, T, q, "wheels", r) for start, stop, T, q, r in rows])
     return state, steps, frozen_array(slip[:count], (None,), "slip") if len(signal.model.residual) else None
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    array = array.copy()  # so that a block's arrays are not kept alive by what is remembered of them
-    array.flags.writeable = False
-    return array
 
 
 def _signal(record: Wheels, robot: RobotDescription, config: WheelConfig) -> _Signal:
@@ -253,30 +186,28 @@ def _model(
     kind: int, forward: np.ndarray, residual: np.ndarray, unit: float, robot: RobotDescription, config: WheelConfig
 ) -> Model:
     """Return the numbers that steps are computed with; `unit` [rad] of one count."""
-    encoder, base = robot.encoder, robot.base
-    rounding = np.full(3, _FLOOR)
-    if kind == COUNTS and encoder is not None and encoder.resolution is not None:
-        rounding += np.sum(forward**2, axis=1) * encoder.resolution**2 / 12
+    encoder, base, noise = robot.encoder, robot.base, robot.wheel_noise
+    travel = [noise.along, noise.across, noise.turning, noise.heading_travel, noise.heading_turning]
+    rounding, wrap = np.full(3, _FLOOR), 0.0
+    if kind == COUNTS and encoder is not None:
+        if encoder.resolution is not None:
+            rounding += np.sum(forward**2, axis=1) * encoder.resolution**2 / 12
+        wrap = 0.0 if encoder.bits is None else 2.0**encoder.bits
     return Model(
         signal=kind,
         forward=frozen_array(forward, (3, None), "Model.forward"),
         residual=frozen_array(residual, (None,), "Model.residual"),
         unit=unit,
-        wrap=2.0**encoder.bits if kind == COUNTS and encoder is not None and encoder.bits is not None else 0.0,
+        wrap=wrap,
         bounds=frozen_array(config.break_factor * np.array(robot.velocity_limits), (3,), "Model.bounds"),
         longest_gap=config.longest_gap,
         slip_window=config.slip_window,
         growing=config.covariance == "growing",
-        noise=frozen_array(_noise(robot.wheel_noise), (7,), "Model.noise"),
+        noise=frozen_array([*travel, noise.rest, noise.heading_rest], (7,), "Model.noise"),
         lever=1.0 if base is None else base.lever,
         constant=frozen_array(np.array(config.twist_variance) / config.twist_rate, (3,), "Model.constant"),
         rounding=frozen_array(rounding, (3,), "Model.rounding"),
     )
-
-
-def _noise(noise: WheelNoise) -> list[float]:
-    travel = [noise.along, noise.across, noise.turning, noise.heading_travel, noise.heading_turning]
-    return [*travel, noise.rest, noise.heading_rest]
 
 
 def _numbers(records: Sequence[Wheels], signal: _Signal) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ def search(scan, to, guess, sigma, window=3.0):
         np.array(guess),
         np.array(sigma),
         window,
-        to.origin,
+        to.surfaces.origin,
         *to.field,
         best,
     )
@@ -79,6 +79,6 @@ def test_what_is_best_only_at_the_edge_of_the_window_is_none(rng):
     best = guess.copy()
     features = features_of(scan)
     _correlative_kernels.search(
-        features.values, features.count, guess, np.array([0.03, 0.03, 0.12]), 3.0, to.origin, *to.field, best
+        features.values, features.count, guess, np.array([0.03, 0.03, 0.12]), 3.0, to.surfaces.origin, *to.field, best
     )
     assert abs(best[2] - guess[2]) < 0.3  # three deviations are 0.36, where the scan agrees best

@@ -38,9 +38,7 @@ def match(scan, to, pose, sigma=WIDE):
 
 def rows_at(features, to, pose, radius=0.4):
     rows = np.empty((_point_to_line_kernels.ROWS, features.count))
-    n = surface_rows(
-        features.values, features.count, 1, pose, to.origin, to.blocks, to.cells, to.elements, radius, 0.2, rows
-    )
+    n = surface_rows(features.values, features.count, 1, pose, to.surfaces, radius, 0.2, rows)
     return rows[:, :n]
 
 
@@ -130,7 +128,7 @@ def test_the_covariance_shrinks_with_the_noise_and_with_beams():
         for _ in range(10):
             old, new = (scan_at(at, beams=beams) for at in (HERE, pose))
             old, new = (replace(s, ranges=s.ranges + noise * rng.standard_normal(beams)) for s in (old, new))
-            to = POINT_TO_LINE.extended(None, features_of(old), GEOMETRY, None)[0]
+            to = POINT_TO_LINE.extended(None, features_of(old), None)[0]
             there = Prior(se2.between(HERE, pose), WIDE, FREE, FREE)
             traces.append(np.trace(POINT_TO_LINE.match(features_of(new), to, GEOMETRY, there).covariance))
         return np.median(traces)
@@ -152,7 +150,7 @@ def test_covariance_and_shared_are_symmetric_and_their_difference_is_definite(rn
 def test_along_a_corridor_the_pose_stays_at_the_prior_and_across_it_is_right(heading, rng):
     pose, start = np.array([0.3, 0.1, heading]), np.array([0.0, 0.0, heading])
     scans = [replace(scan_at(p, walls=CORRIDOR, rng=rng), range_max=15.0) for p in (start, pose)]
-    to = POINT_TO_LINE.extended(None, features_of(scans[0]), GEOMETRY, None)[0]
+    to = POINT_TO_LINE.extended(None, features_of(scans[0]), None)[0]
     truth = se2.between(start, pose)
     prior = se2.compose(truth, np.array([0.03, -0.04, 0.02]))
     found = POINT_TO_LINE.match(features_of(scans[1]), to, GEOMETRY, Prior(prior, WIDE, FREE, FREE))
@@ -206,9 +204,9 @@ def test_rounded_ranges_without_noise_give_a_finite_match(step):
     pose = se2.compose(HERE, STEP)
     old, new = (scan_at(at) for at in (HERE, pose))
     old, new = (replace(s, ranges=step * np.round(s.ranges / step)) for s in (old, new))
-    to = POINT_TO_LINE.extended(None, features_of(old), GEOMETRY, None)[0]
+    to = POINT_TO_LINE.extended(None, features_of(old), None)[0]
     found = POINT_TO_LINE.match(features_of(new), to, GEOMETRY, Prior(STEP, WIDE, FREE, FREE))
-    assert np.isfinite(to.elements).all()
+    assert np.isfinite(to.surfaces.elements).all()
     assert np.isfinite(found.covariance).all()
     assert np.linalg.eigvalsh(found.covariance).min() > 0.0
     assert np.abs(se2.difference(found.pose, STEP)).max() < step
@@ -230,7 +228,7 @@ def test_a_map_without_surfaces_gives_no_match_with_a_reason(rng):
     features = features_of(LaserScan(0.0, rng.uniform(0.5, 20.0, 360), -np.pi, np.pi / 180))
     values = features.values.copy()
     values[5:7], values[7] = 0.0, np.inf
-    to, _ = POINT_TO_LINE.extended(None, replace(features, values=values), GEOMETRY, None)
+    to, _ = POINT_TO_LINE.extended(None, replace(features, values=values), None)
     reason = POINT_TO_LINE.match(features_of(scan_at(HERE)), to, GEOMETRY, Prior(np.zeros(3), WIDE, FREE, FREE))
     assert reason == "only 0 beams see something that the map has"
 
@@ -254,7 +252,7 @@ def test_a_keyframe_makes_a_new_map_and_a_scan_that_is_none_keeps_it(rng):
     to, scan = map_of([HERE]), scan_at(HERE)
     features, fit = features_of(scan), match(scan, map_of([HERE]), HERE)
     assert POINT_TO_LINE.followed(to, features, fit) is to
-    longer, pose = POINT_TO_LINE.extended(to, features, GEOMETRY, fit)
+    longer, pose = POINT_TO_LINE.extended(to, features, fit)
     assert len(longer.keyframes) == 2
     assert len(to.keyframes) == 1
     np.testing.assert_array_equal(pose, fit.pose)

@@ -141,11 +141,6 @@ def test_two_beams_are_too_few():
         lidar_odometry([scan_at(np.zeros(3), beams=2)], np.eye(4))
 
 
-def test_the_twist_is_the_motion_over_the_time_between():
-    match = match_between(np.zeros(3), np.array([0.05, 0.0, 0.0]))
-    np.testing.assert_allclose(match.twist, [0.5, 0.0, 0.0], atol=0.05)
-
-
 def test_the_covariance_is_of_the_right_size(rng):
     """The mean NEES of single matches under 10 mm of range noise lies within a factor 2 of its ideal 3."""
     nees = []

@@ -62,7 +62,7 @@ def test_scans_of_as_many_beams_at_other_angles_are_not_matched():
     geometry, turned = scan_geometry(scan, NOWHERE, 5), scan_geometry(other, NOWHERE, 5)
     key, new = matcher.features(scan, geometry, np.zeros(3), 0.0), matcher.features(other, turned, np.zeros(3), 0.0)
     prior = Prior(np.zeros(3), np.full(3, 0.1), np.ones(3), np.ones(3))
-    to, _ = matcher.extended(None, key, geometry, None)
+    to, _ = matcher.extended(None, key, None)
     assert matcher.match(new, to, turned, prior) == "the scan has other beams than the keyscan"
     assert not isinstance(matcher.match(key, to, scan_geometry(scan, NOWHERE, 5), prior), str)
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from longreach.geometry._kernels import se2_exp
 from longreach.kernels import kernel
-from longreach.odometry.matchers._rank_kernels import smallest
 
 FEATURES = 9
 _HALF = 12  # beams on either side that a normal is fitted to, at most
@@ -20,6 +19,27 @@ _ROUGH = 0.15  # variance across a surface over that along it, above which it ha
 _GAP = 3.5  # spacings of beams on a surface seen head-on, between two returns of one surface
 _SMALLEST_GAP = 0.15  # [m]
 _SMALLEST_NOISE = 1e-3  # [m]: ranges that are rounded may show none, and a prior is not exact
+
+
+@kernel
+def smallest(values, k):
+    """The number that k others of `values` precede in order (Hoare 1961). Shuffles them; numpy's compiles for long."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if j < k:
+            low = i
+        if k < i:
+            high = j
+    return values[k]
 
 
 @kernel
@@ -99,11 +119,8 @@ def _prefix_sums(x, y, sums):
     """Fill sums (5, n + 1) of x, y, x², xy, y² over the beams before each."""
     sums[:, 0] = 0.0
     for u in range(len(x)):
-        sums[0, u + 1] = sums[0, u] + x[u]
-        sums[1, u + 1] = sums[1, u] + y[u]
-        sums[2, u + 1] = sums[2, u] + x[u] * x[u]
-        sums[3, u + 1] = sums[3, u] + x[u] * y[u]
-        sums[4, u + 1] = sums[4, u] + y[u] * y[u]
+        for k, value in enumerate((x[u], y[u], x[u] * x[u], x[u] * y[u], y[u] * y[u])):
+            sums[k, u + 1] = sums[k, u] + value
 
 
 @kernel

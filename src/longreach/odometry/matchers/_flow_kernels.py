@@ -13,7 +13,7 @@ import numpy as np
 from longreach.geometry._eigen_kernels import solve_in_basis, symmetric_eigen
 from longreach.geometry._kernels import se2_between, se2_compose, se2_exp
 from longreach.kernels import kernel
-from longreach.odometry.matchers._rank_kernels import smallest
+from longreach.odometry.matchers._feature_kernels import smallest
 
 LINEARISATIONS = 3  # a level at most; the authors' code of 2018
 SETTLED = 0.01  # [m + rad] a level's motion below which it is not linearised again; 0.05 in that code
@@ -24,10 +24,7 @@ _LAGS = 6  # neighbouring rows whose errors may be correlated
 
 @kernel
 def scan_pyramid(ranges, low, high, flipped, cos, sin, increment, motion, share, start, out, pyramid):
-    """Fill out (n,) with the ranges counter-clockwise, 0 where there was no return (REP-117), and their pyramid.
-
-    motion, share: as of `deskew`.
-    """
+    """Fill out (n,) with the ranges counter-clockwise, deskewed, 0 where there was no return, and their pyramid."""
     n = len(ranges)
     for u in range(n):
         r = ranges[n - 1 - u] if flipped else ranges[u]
@@ -39,10 +36,7 @@ def scan_pyramid(ranges, low, high, flipped, cos, sin, increment, motion, share,
 
 @kernel(fastmath=True)
 def build_pyramid(ranges, start, out):
-    """Step 1: smooth each level by the bilateral mask [1 4 6 4 1] · (reach - |Δr|), and keep every second beam of it.
-
-    Neighbours across an edge have no part in the mean.
-    """
+    """Step 1: smooth each level by the bilateral mask [1 4 6 4 1] · (reach - |Δr|), and keep every second beam."""
     source, n, every = ranges, len(ranges), 1
     for level in range(len(start) - 1):
         target = out[start[level] : start[level + 1]]
@@ -60,15 +54,12 @@ def build_pyramid(ranges, start, out):
 
 @kernel(fastmath=True)
 def carried(r, cos, sin, increment, x, y, cos_theta, sin_theta):
-    """Carry a beam's point by the motion (x, y, θ); return by how many beams it is turned, and its range squared.
-
-    The angle is nearly always small between two scans: then by its series, to 1e-9.
-    """
+    """Carry a beam's point by the motion (x, y, θ); return by how many beams it is turned, and its range squared."""
     px, py = r * cos, r * sin
     qx, qy = cos_theta * px - sin_theta * py + x, sin_theta * px + cos_theta * py + y
     along, across = cos * qx + sin * qy, cos * qy - sin * qx
     if along > 0.0 and abs(across) < 0.2 * along:
-        z = across / along
+        z = across / along  # small between two scans: by the series, to 1e-9
         z2 = z * z
         turned = z * (1.0 - z2 * (1 / 3 - z2 * (1 / 5 - z2 * (1 / 7 - z2 * (1 / 9 - z2 / 11)))))
     else:
@@ -110,11 +101,10 @@ def flow_rows(old, warped, cos, sin, increment, reach, noise, symmetric, work, m
     """Add the weighted rows A (8, m) of ρ = b + aᵀ ξ, and return how many there are then. (3.24), corrected
 
     ξ = [v_x, v_y, ω] per scan, in the frame of `old`, ω times reach [m]. work (3, n): space.
-    Steps 3 and 4: the derivatives are those of the mean of both scans, which is right to second order. The slope R_α
-    takes both neighbours, each weighted by the arc to the other one, so that it does not reach across edges; where one
-    neighbour is null it takes the other alone.
-    Step 5: the weight of a row falls with the derivatives and with their change, where the linearisation is poor;
-    `noise` [m] keeps it finite on identical scans. symmetric: the change as in SRF 2018.
+    Steps 3 and 4: the derivatives are those of the mean of both scans. The slope R_α takes both neighbours, each
+    weighted by the arc to the other one, so that it does not reach across edges.
+    Step 5: the weight of a row falls with the derivatives and their change, where the linearisation is poor, but by no
+    less than `noise` [m]. symmetric: the change as in SRF 2018.
     """
     n, k, mean, arc, slope = len(old), 1.0 / increment, work[0], work[1], work[2]
     for u in range(n):
@@ -195,10 +185,9 @@ def _residual_scale(A, m, xi, truncated):
 def robust_flow(A, m, iterations, truncated, xi, H, V):
     """Step 6: least squares, then IRLS with weights from its residuals; leave H (3, 4) diagonal in its eigenbasis V.
 
-    Cauchy's weights until ξ stands still, k = 1/(2.385 σ): 95 % efficient where the noise is Gaussian. The 2016 code's
-    k = 10/mean|R_t| looks at a tenth of the noise only: its solution is a mode, three times as noisy here. Or those of
-    the truncated parabola, which ends at four median residuals, until its energy falls by less than 0.5 %. (SRF 2018)
-    Returns the variance of a weighted residual at the solution, and k.
+    Cauchy's weights until ξ stands still, k = 1/(2.385 σ): 95 % efficient where the noise is Gaussian (with the 2016
+    code's k = 10/mean|R_t|, ξ is three times as noisy). Or those of the truncated parabola, which ends at four median
+    residuals, until its energy falls by less than 0.5 % (SRF 2018). Returns the variance of a weighted residual, and k.
     """
     k, last, squares, settled = 0.0, 0.0, 0.0, False
     xi[:] = 0.0
@@ -225,9 +214,8 @@ def flow_covariance(A, m, xi, k, truncated, H, V, covariance):
     """Fill covariance (3, 3) of ξ from what the residuals are, not from what they should be.
 
     The sandwich H⁻¹ S H⁻¹, with S the long-run covariance of the scores w ρ a over `_LAGS` neighbouring rows (Bartlett
-    window, Newey & West 1987): smoothing and surfaces make neighbours err together, and rows differ in noise.
+    window, Newey & West 1987), which take the place of rows 4 to 6: neighbours err together.
     H counts w where the curvature of the cost is w (2w - 1), or 3w - 2; `steepness` makes up for it.
-    The scores take the place of rows 4 to 6.
     """
     scores, curvature, weights = A[4:7], 0.0, 0.0
     for i in range(m):

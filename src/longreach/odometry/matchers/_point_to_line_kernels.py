@@ -11,10 +11,10 @@ from collections import namedtuple
 import numpy as np
 
 from longreach.geometry._eigen_kernels import symmetric_eigen
-from longreach.geometry._kernels import se2_between, se2_compose, se2_exp
+from longreach.geometry._kernels import se2_between, se2_compose, se2_exp, wrap
 from longreach.kernels import kernel
 from longreach.odometry._local_map_kernels import surface_rows
-from longreach.odometry.matchers._rank_kernels import smallest
+from longreach.odometry.matchers._feature_kernels import smallest
 
 FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known common coarse fine")
 ROWS = 8  # numbers kept of a matched point
@@ -45,14 +45,12 @@ def robust_scale(rows, m, space):
 
 @kernel(fastmath=True)
 def normal_equations(rows, m, limit, reach, H):
-    """Fill H (3, 3) with Σ w a aᵀ and return -Σ w a e and Σ (1 - z): w falls from 1/variance to 0 at z = 1. (3.25)"""
-    h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = total = 0.0
+    """Fill H (3, 3) with Σ w a aᵀ and return -Σ w a e: w falls from 1/variance to 0 at z = 1. (3.25)"""
+    h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
     scale = 1.0 / reach
     for i in range(m):
         e, w = rows[3, i], rows[4, i]
-        share = max(1.0 - e * e * w * limit, 0.0)
-        w *= share
-        total += share
+        w *= max(1.0 - e * e * w * limit, 0.0)
         a0, a1, a2 = rows[0, i], rows[1, i], scale * rows[2, i]
         h00 += w * a0 * a0
         h01 += w * a0 * a1
@@ -66,7 +64,7 @@ def normal_equations(rows, m, limit, reach, H):
     H[0, 0], H[0, 1], H[0, 2] = h00, h01, h02
     H[1, 0], H[1, 1], H[1, 2] = h01, h11, h12
     H[2, 0], H[2, 1], H[2, 2] = h02, h12, h22
-    return -g0, -g1, -g2, total
+    return -g0, -g1, -g2
 
 
 @kernel(fastmath=True)
@@ -74,7 +72,7 @@ def find_observable(rows, m, limit, reach, scale, known, H, V, observable):
     """Fill observable (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
     Errors of the surfaces' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
-    A direction is observable where H is more than `known` times what it would be from these errors alone.
+    It has to be more than `known` times what it would be from these alone.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for k in range(3):
@@ -92,52 +90,31 @@ def find_observable(rows, m, limit, reach, scale, known, H, V, observable):
 
 
 @kernel
-def prior_pull(guess, pose, sigma, reach, scale, V, out):
-    """Fill out (2, 3) with the gradient and the weight, in the basis V, of the prior: a pose (3,) with deviations (3,).
-
-    The prior is far wider than most matches, and matters in the others.
-    """
-    dx, dy, dt = se2_between(guess[0], guess[1], guess[2], pose[0], pose[1], pose[2])
+def prior_pull(prior, pose, reach, scale, V, out):
+    """Fill out (2, 3) with the gradient and the weight of the prior in the basis V; it is wider than most matches."""
+    dx, dy, dt = se2_between(prior.pose[0], prior.pose[1], prior.pose[2], pose[0], pose[1], pose[2])
     c, s = math.cos(dt), math.sin(dt)
     off = np.array([c * dx + s * dy, c * dy - s * dx, dt * reach])
     variance = _AGREE * scale * scale
     for k in range(3):
         out[0, k] = out[1, k] = 0.0
         for i in range(3):
-            deviation = sigma[i] * (reach if i == 2 else 1.0)
+            deviation = prior.sigma[i] * (reach if i == 2 else 1.0)
             weight = variance / (deviation * deviation)
             out[0, k] -= V[i, k] * weight * off[i]
             out[1, k] += V[i, k] * V[i, k] * weight
 
 
 @kernel
-def align(
-    points,
-    m,
-    reach,
-    noise,
-    settings,
-    guess,
-    sigma,
-    origin,
-    blocks,
-    cells,
-    elements,
-    pose,
-    rows,
-    space,
-    H,
-    V,
-    observable,
-):
+def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space, H, V, observable):
     """Move the base's pose (3,) until the points lie on the surfaces; leave H diagonal in its eigenbasis V.
 
     First a few points on surfaces taken over a wide radius, then all of them. Along directions that are not observable
-    the pose is the prior's. Returns the rows, the scale of the residuals and the sum of the robust weights. After
-    a step below a tenth of the noise points stay on their surfaces.
+    the pose is the prior's. After a step below a tenth of the noise points stay on their surfaces.
+    Returns the rows and the scale of the residuals.
     """
-    n, scale, total, step = 0, 0.0, 0.0, math.inf
-    prior, d = np.empty((2, 3)), np.empty(3)
+    n, scale, step = 0, 0.0, math.inf
+    pull, d, sigma = np.empty((2, 3)), np.empty(3), prior.sigma
     observable[:] = 1.0
     coarse, wide = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0
     for iteration in range(settings.iterations):
@@ -145,21 +122,21 @@ def align(
         if step < 0.1 * noise and not coarse:
             move_rows(rows, n, d[0], d[1], d[2] / reach)
         else:
-            n = surface_rows(points, m, stride, pose, origin, blocks, cells, elements, radius, settings.grazing, rows)
+            n = surface_rows(points, m, stride, pose, surfaces, radius, settings.grazing, rows)
         if n < 6:
-            return n, 0.0, 0.0
+            return n, 0.0
         least = settings.flat * (5.0 if coarse else max(5.0 * wide, 1.0))
         wide *= 1.0 if coarse else 0.5
         worst = max(settings.worst * noise, least)
         scale = min(max(robust_scale(rows, n, space), least), worst)
         limit = 1.0 / (settings.gate * scale) ** 2
-        g0, g1, g2, total = normal_equations(rows, n, limit, reach, H)
+        g0, g1, g2 = normal_equations(rows, n, limit, reach, H)
         symmetric_eigen(H, V)
         find_observable(rows, n, limit, reach, scale, settings.known, H, V, observable)
-        prior_pull(guess, pose, sigma, reach, scale, V, prior)
+        prior_pull(prior, pose, reach, scale, V, pull)
         d[:] = 0.0
         for k in range(3):
-            along, weight = prior[0, k], prior[1, k]
+            along, weight = pull[0, k], pull[1, k]
             if observable[k] > 0.0:
                 along += V[0, k] * g0 + V[1, k] * g1 + V[2, k] * g2
                 weight += H[k, k]
@@ -173,7 +150,7 @@ def align(
                 coarse, step = False, math.inf
         elif step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
             break
-    return n, scale, total
+    return n, scale
 
 
 @kernel
@@ -203,9 +180,8 @@ def lean(rows, m, limit, reach, H, V, k, out):
 def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
     """Fill S and shared (3, 3), in the basis V: the covariance of the scores Σ ψ a, and the map's part in it.
 
-    ψ² is what the residuals are, not what they should be. Residuals that agree over `block` neighbouring rows, as those
-    of a surface do that is not straight, do not average out: S grows by as much. Returns how much flatter the cost is
-    than H says, for H counts w where the curvature is that of ψ = e (1 - z): 1 - 3z.
+    Residuals that agree over `block` neighbouring rows, as those of a surface that is not straight, do not average out:
+    S grows by as much. Returns how much flatter the cost is than H says: the curvature of ψ = e (1 - z) is 1 - 3z.
     """
     own = np.zeros((3, 3))
     sums = np.zeros(3)
@@ -241,12 +217,11 @@ def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
 
 
 @kernel
-def sandwich(rows, m, scale, reach, settings, H, V, observable, free, astray, covariance, shared):
+def sandwich(rows, m, scale, reach, settings, prior, H, V, observable, covariance, shared):
     """Fill covariance and shared (3, 3) of the base's ξ: the sandwich H⁻¹ S H⁻¹, wide along what is not observable.
 
-    free (3,): variance of x, y [m²] and θ [rad²] where nothing is known; astray (3,): of how far the pose is off there,
-    which surfaces whose directions are wrong turn into errors of the other directions. A part `common` of the noise is
-    taken to be common to all beams: it does not average out.
+    Along it the pose is astray as far as the prior, which surfaces whose directions are wrong turn into errors of the
+    other directions. A part `common` of the noise is taken to be common to all beams: it does not average out.
     """
     limit = 1.0 / (settings.gate * scale) ** 2
     S, K = np.zeros((3, 3)), np.zeros((3, 3))
@@ -266,49 +241,58 @@ def sandwich(rows, m, scale, reach, settings, H, V, observable, free, astray, co
             continue
         wide = off = 0.0
         for i in range(3):
-            wide += V[i, k] * V[i, k] * free[i] / (units[i] * units[i])
-            off += V[i, k] * V[i, k] * astray[i] / (units[i] * units[i])
+            wide += V[i, k] * V[i, k] * prior.free[i] / (units[i] * units[i])
+            off += V[i, k] * V[i, k] * prior.astray[i] / (units[i] * units[i])
         S[k, k] += wide
         lean(rows, m, limit, reach, H, V, k, angles)
         for l in range(3):
             S[l, l] += observable[l] * off * angles[l]
     for i in range(3):
-        for j in range(3):
+        for j in range(i + 1):
             covariance[i, j] = shared[i, j] = 0.0
             for k in range(3):
                 for l in range(3):
                     covariance[i, j] += units[i] * V[i, k] * S[k, l] * V[j, l] * units[j]
                     shared[i, j] += units[i] * V[i, k] * K[k, l] * V[j, l] * units[j]
+            covariance[j, i], shared[j, i] = covariance[i, j], shared[i, j]
 
 
 @kernel
-def match(
-    points, m, reach, noise, settings, start, guess, sigma, free, astray, origin, blocks, cells, elements,
-    pose, covariance, shared, observable, V,
-):  # fmt: skip
-    """Match the points of a scan to the surfaces of a local map, starting at a pose (3,), under a prior.
+def match(points, m, reach, noise, settings, start, prior, surfaces):
+    """Match the points of a scan to the surfaces of a local map, starting at a pose (3,), under a `Prior`.
 
-    guess, sigma (3,): the prior's pose and deviations. Fills the base's pose (3,) in the map, the covariance and the
-    map's share in it (3, 3), and observable (3,): which columns of V, directions of ξ, the scan shows.
-    Returns the rows, the scale of the residuals [m], NaN where something is not finite, and how many rows agree but for
-    noise.
+    Returns the base's pose (3,) in the map, the covariance and the map's share in it (3, 3), the directions (k, 3) of ξ
+    that the scan does not show, the rows, the scale of the residuals [m], NaN where something is not finite, and how
+    many rows agree but for noise.
     """
     rows, space = np.empty((ROWS, m)), np.empty(m)
-    H = np.empty((3, 3))
+    H, V, observable = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    pose, covariance, shared = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     pose[0], pose[1], pose[2] = start[0], start[1], start[2]
-    n, scale, total = align(
-        points, m, reach, noise, settings, guess, sigma, origin, blocks, cells, elements, pose, rows, space, H, V,
-        observable,
-    )  # fmt: skip
+    n, scale = align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space, H, V, observable)
     if n < 6:
-        return n, scale, 0.0
+        return pose, covariance, shared, np.empty((0, 3)), n, scale, 0.0
     limit = 1.0 / (settings.gate * noise) ** 2
     total = 0.0
     for i in range(n):
         total += max(1.0 - rows[3, i] * rows[3, i] * rows[4, i] * limit, 0.0)
-    sandwich(rows, n, scale, reach, settings, H, V, observable, free, astray, covariance, shared)
-    for i in range(3):
-        for j in range(i):
-            covariance[i, j] = covariance[j, i] = 0.5 * (covariance[i, j] + covariance[j, i])
-            shared[i, j] = shared[j, i] = 0.5 * (shared[i, j] + shared[j, i])
-    return n, scale if math.isfinite(pose.sum() + covariance.sum()) else math.nan, total
+    sandwich(rows, n, scale, reach, settings, prior, H, V, observable, covariance, shared)
+    directions, blind = np.empty((3, 3)), 0
+    for k in range(3):
+        if observable[k] == 0.0:
+            dx, dy, dt = V[0, k], V[1, k], V[2, k] / reach
+            size = math.sqrt(dx * dx + dy * dy + dt * dt)
+            directions[blind, 0], directions[blind, 1], directions[blind, 2] = dx / size, dy / size, dt / size
+            blind += 1
+    scale = scale if math.isfinite(pose.sum() + covariance.sum()) else math.nan
+    return pose, covariance, shared, directions[:blind], n, scale, total
+
+
+@kernel
+def is_far(poses, pose, distance, turned):
+    """Whether all poses (k, 3) are further than a distance [m], or than an angle [rad], from a pose (3,)."""
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - pose[0], poses[i, 1] - pose[1]
+        if math.hypot(dx, dy) <= distance and abs(wrap(poses[i, 2] - pose[2])) <= turned:
+            return False
+    return True

@@ -27,8 +27,8 @@ class RangeFlowConfig(NamedTuple):
 def warp(r, cos, sin, increment, x, y, theta, warped, weight):
     """Step 2: carry the new scan by the motion (x, y, θ) into the old one's beams.
 
-    Each point gives its range to its two neighbouring beams, weighted by nearness. (Nearness squared, as in the 2016
-    code, hides rotations of less than a beam: its heading error at 1081 beams is four times larger.)
+    Each point gives its range to its two neighbouring beams by nearness. (The 2016 code squares it, and hides rotations
+    below a beam: its heading error at 1081 beams is four times larger.)
     """
     n = len(r)
     ct, st = math.cos(theta), math.sin(theta)
@@ -53,10 +53,7 @@ def warp(r, cos, sin, increment, x, y, theta, warped, weight):
 
 @kernel
 def blend(xi, H, V, variance, expected, c, d, covariance):
-    """Step 8: in the covariance's eigenbasis draw ξ to the expected one, the more the less the data say.
-
-    What the pull moved is added to the covariance, squared: it may be wrong by as much.
-    """
+    """Step 8: in the covariance's eigenbasis draw ξ to the expected one; what that moved may be wrong by as much."""
     floor = 1e-12 * max(H[0, 0], max(H[1, 1], H[2, 2])) + 1e-300
     for i in range(3):
         pull, moved = c * variance / max(H[i, i], floor) + d, 0.0
@@ -71,10 +68,7 @@ def blend(xi, H, V, variance, expected, c, d, covariance):
 
 @kernel
 def sampling_error(ranges, increment, x, y, theta, share):
-    """Deviation [m] of a translation because two scans sample a surface at other points.
-
-    A share of the distance between points, or of what they moved where that is less: at rest the same points are seen.
-    """
+    """Deviation [m] of a translation by sampling: a share of the distance of points, or of their motion if less."""
     total, n = 0.0, 0
     for r in ranges:
         if r > 0.0:

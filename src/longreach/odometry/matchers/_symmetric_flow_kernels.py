@@ -8,8 +8,8 @@ from longreach.geometry._eigen_kernels import solve_in_basis
 from longreach.geometry._kernels import se2_adjoint, se2_between, se2_compose, se2_exp, se2_log
 from longreach.kernels import kernel
 from longreach.odometry.matchers import _flow_kernels
+from longreach.odometry.matchers._feature_kernels import smallest
 from longreach.odometry.matchers._flow_kernels import as_seen_from, carried, flow_rows, transformed
-from longreach.odometry.matchers._rank_kernels import smallest
 
 _ITERATIONS = 10  # reweightings at most; the authors' code
 _NOISE = 0.2  # [m] floor under the derivatives in a row's weight; the authors' code
@@ -27,8 +27,7 @@ _SLOPE = 0.075  # variance of a slope over that of R_t, after smoothing twice wi
 def warp_segments(r, cos, sin, increment, x, y, theta, farthest, warped, space):
     """Carry a scan by (x, y, θ): each beam between two neighbouring points sees the line through both.
 
-    Of several the nearest is seen, or the farthest: where a scan goes to a place from which less is hidden.
-    space (2, n).
+    Of several the nearest is seen, or the farthest: where less is hidden from there. space (2, n).
     """
     n = len(r)
     ct, st = math.cos(theta), math.sin(theta)
@@ -53,8 +52,7 @@ def warp_segments(r, cos, sin, increment, x, y, theta, farthest, warped, space):
 def find_observable(A, m, increment, reach, variance, H, V, observable):
     """Fill observable (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
-    Noise of the slopes looks like information about motion along a wall: a direction is observable where H is more than
-    `_KNOWN` times what it would be from that alone. variance: of a weighted residual.
+    Noise of slopes looks like information: H has to be `_KNOWN` times that. variance: of a weighted residual.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for j in range(3):
@@ -100,7 +98,7 @@ def whole_covariance(A, of_last, k, H, V, C, last, scale, reach, free, observabl
     """Fill out (3, 3): the error of the new scan's pose in the frame of the last one.
 
     C (3, 3): of the flow; last (3, 3): of the last scan's pose, which goes on by H⁻¹ H_last where that scan takes part.
-    A part of the residuals' scale [m] does not average out. free (3,): variance where nothing is observable.
+    free (3,): variance where nothing is observable.
     """
     project, whole, part, of_pose = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 4))
     if of_last > 0:

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from longreach.measurement import LaserScan
 from longreach.odometry import local_map
@@ -31,39 +30,23 @@ _WIDEST = np.array([0.7, 0.7, 0.35])  # deviations [m, m, rad] of a window at mo
 
 @dataclass(frozen=True, eq=False)
 class PointToLine:
-    """Match to a local map.
-
-    distance [m], turned (part of the field of view): from the nearest keyframe to a new one; overlap: share of the
-    returns that the map explains, below which there is a new one, too.
-    """
+    """Match to a local map; distance, turned, overlap: of keyframes, as of `LidarConfig`."""
 
     settings: FitSettings
     distance: float
     turned: float
     overlap: float
 
-    def features(
-        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
-    ) -> Features:
+    def features(self, scan: LaserScan, geometry: ScanGeometry, motion: np.ndarray, share: float) -> Features:
         """Take the points of a scan in the base's frame, and the directions of the surfaces there."""
         values = np.empty((_feature_kernels.FEATURES, len(scan.ranges)))
+        low, high, g = float(scan.range_min), float(scan.range_max), geometry
         count, noise, reach = _feature_kernels.scan_features(
-            scan.ranges,
-            float(scan.range_min),
-            float(scan.range_max),
-            geometry.flipped,
-            *geometry.finest,
-            geometry.increments[0],
-            geometry.pose_base_laser,
-            motion,
-            share,
-            values,
+            scan.ranges, low, high, g.flipped, g.cos, g.sin, g.increments[0], g.pose_base_laser, motion, share, values
         )
         return Features(values, count, noise, reach)
 
-    def extended(
-        self, reference: LocalMap | None, features: Features, geometry: ScanGeometry, fit: Fit | None
-    ) -> tuple[LocalMap, Float[np.ndarray, "3"]]:
+    def extended(self, reference: LocalMap | None, features: Features, fit: Fit | None) -> tuple[LocalMap, np.ndarray]:
         """Add a scan's surfaces to the map, at the pose where it was matched."""
         pose = np.zeros(3) if fit is None else fit.pose
         before = () if reference is None else reference.keyframes
@@ -80,56 +63,24 @@ class PointToLine:
         found = self._fit(features, reference, prior, prior.pose)
         if found.inlier_ratio < _POOR:
             start, sigma = np.array(prior.pose), np.minimum(prior.sigma, _WIDEST)
-            _correlative_kernels.search(
-                features.values,
-                features.count,
-                prior.pose,
-                sigma,
-                _WINDOW,
-                reference.origin,
-                *reference.field,
-                start,
-            )
-            other = self._fit(features, reference, prior, start)
-            found = other if other.inlier_ratio > found.inlier_ratio else found
+            points, m, origin = features.values, features.count, reference.surfaces.origin
+            _correlative_kernels.search(points, m, prior.pose, sigma, _WINDOW, origin, *reference.field, start)
+            if start.tolist() != prior.pose.tolist():  # nor was nothing found
+                other = self._fit(features, reference, prior, start)
+                found = other if other.inlier_ratio > found.inlier_ratio else found
         return _fault(found) or found
 
     def _fit(self, features: Features, to: LocalMap, prior: Prior, start: np.ndarray) -> Fit:
-        noise = min(features.noise, 1.2 * to.noise)
-        pose, covariance, shared = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-        observable, V = np.empty(3), np.empty((3, 3))
-        rows, scale, agree = _point_to_line_kernels.match(
-            features.values,
-            features.count,
-            features.reach,
-            noise,
-            self.settings,
-            start,
-            *prior,
-            to.origin,
-            to.blocks,
-            to.cells,
-            to.elements,
-            pose,
-            covariance,
-            shared,
-            observable,
-            V,
+        values, m, reach, noise = features.values, features.count, features.reach, min(features.noise, 1.2 * to.noise)
+        pose, covariance, shared, directions, rows, scale, agree = _point_to_line_kernels.match(
+            values, m, reach, noise, self.settings, start, prior, to.surfaces
         )
-        directions = np.zeros((0, 3))
-        if rows >= 6 and not observable.all():
-            directions = V.T[observable == 0.0] / np.array([1.0, 1.0, features.reach])
-            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Fit(pose, covariance, shared, rows, scale, agree / features.count, directions)
+        return Fit(pose, covariance, shared, rows, scale, agree / m, directions)
 
     def is_far(self, fit: Fit, features: Features, geometry: ScanGeometry, reference: LocalMap) -> bool:
         """Whether every keyframe of the map was taken from elsewhere, or looking elsewhere, or the map ends here."""
-        x, y, t = fit.pose
-        away = np.hypot(reference.poses[:, 0] - x, reference.poses[:, 1] - y) / self.distance
-        turned = np.abs(np.remainder(reference.poses[:, 2] - t + math.pi, 2 * math.pi) - math.pi) / (
-            self.turned * geometry.view
-        )
-        return bool(np.min(np.maximum(away, turned)) > 1.0 or fit.rows < self.overlap * features.count)
+        few, turned = fit.rows < self.overlap * features.count, self.turned * geometry.view
+        return few or _point_to_line_kernels.is_far(reference.poses, fit.pose, self.distance, turned)
 
 
 def _fault(found: Fit) -> str:

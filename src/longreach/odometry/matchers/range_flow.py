@@ -4,11 +4,9 @@ Source: Jaimez, Monroy & Gonzalez-Jimenez 2016, "Planar odometry from a radial l
 approach" (the thesis' (3.24)–(3.26)). Where ours differs from its authors' implementation, and why:
 * true beam angles, any field of view and mounting; NaN, infinity and 0 are no returns; identical scans are fine;
 * what a sweep saw while the laser moved is carried to where it began, by the mean of the last motions;
-* a warped point is shared between beams by nearness, not nearness squared, which hid rotations below a beam;
-* the Cauchy scale comes from the residuals (95 % efficiency), not from mean|R_t|;
+* a warped point is shared between beams by nearness (`warp`), and the Cauchy scale comes from the residuals;
 * a level is linearised again while its motion is not small; blending constants are those of its authors' 2018 method;
-* the covariance is measured from the residuals, their correlation included (`_flow_kernels.flow_covariance`);
-* the result is the base's motion, v_y included.
+* the result is the base's motion, v_y included, its covariance that of the residuals (`flow_covariance`).
 """
 
 from collections.abc import Iterable
@@ -20,9 +18,8 @@ from jaxtyping import Float
 from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry.matchers import _flow_kernels, _range_flow_kernels
 from longreach.odometry.matchers._range_flow_kernels import RangeFlowConfig
-from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
+from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior, ScanMatch
 from longreach.odometry.scan_geometry import ScanGeometry, same_kind, same_tables, scan_geometry, share_of_a_beam
-from longreach.odometry.scan_match import ScanMatch
 
 _FEWEST_ROWS = 12  # fewer beams seen in both scans than this do not make a match
 
@@ -42,6 +39,7 @@ class ScanFeatures(Features):
     """The ranges themselves (1, n), and the scan; neither noise nor reach is looked for."""
 
     scan: LaserScan
+    geometry: ScanGeometry
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,20 +55,18 @@ class RangeFlow:
 
     config: RangeFlowConfig
 
-    def features(
-        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
-    ) -> ScanFeatures:
+    def features(self, scan: LaserScan, geometry: ScanGeometry, motion: np.ndarray, share: float) -> ScanFeatures:
         """Take the scan as it is; range flow undistorts it by its own motion."""
         returns = scan.returns
-        return ScanFeatures(returns[None], int(np.count_nonzero(returns)), np.nan, np.nan, scan)
+        return ScanFeatures(returns[None], int(np.count_nonzero(returns)), np.nan, np.nan, scan, geometry)
 
     def extended(
-        self, reference: RangeFlowState | None, features: ScanFeatures, geometry: ScanGeometry, fit: FlowFit | None
-    ) -> tuple[RangeFlowState, Float[np.ndarray, "3"]]:
+        self, reference: RangeFlowState | None, features: ScanFeatures, fit: FlowFit | None
+    ) -> tuple[RangeFlowState, np.ndarray]:
         """Go on from this scan."""
         if fit is not None:
             return fit.after, np.zeros(3)
-        g, scan, motion = geometry, features.scan, np.zeros((2, 3))
+        g, scan, motion = features.geometry, features.scan, np.zeros((2, 3))
         low, high, r, pyramid = float(scan.range_min), float(scan.range_max), np.empty(g.beams), np.empty(g.start[-1])
         _flow_kernels.scan_pyramid(
             scan.ranges, low, high, g.flipped, g.cos, g.sin, g.increments[0], motion[1], 0.0, g.start, r, pyramid
@@ -120,5 +116,5 @@ def lidar_odometry(
         elif last is not None and fit is not None:
             found = RelativePoseMeasurement(last.stamp, scan.stamp, fit.pose, fit.covariance, source="lidar")
             matches.append(ScanMatch(scan.stamp, found, "", fit.rows))
-        last, _ = matcher.extended(last, features, geometry, fit)
+        last, _ = matcher.extended(last, features, fit)
     return tuple(matches)

@@ -1,12 +1,12 @@
-"""What every scan matcher offers, and what it is given and gives."""
+"""What every scan matcher offers, what it is given and gives, and what LIDAR odometry makes of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from longreach.measurement import LaserScan
+from longreach.measurement import LaserScan, RelativePoseMeasurement
 from longreach.odometry.scan_geometry import ScanGeometry
 
 
@@ -60,16 +60,12 @@ Reference = Any  # what a matcher makes of earlier scans, its own; it is never c
 class ScanMatcher(Protocol):
     """A way of matching scans."""
 
-    def features(
-        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
-    ) -> Features:
+    def features(self, scan: LaserScan, geometry: ScanGeometry, motion: np.ndarray, share: float) -> Features:
         """Take the features of a scan; motion (3,): the base's, from scan to scan, share: of it from beam to beam."""
         ...
 
-    def extended(
-        self, reference: Reference | None, features: Any, geometry: ScanGeometry, fit: Any
-    ) -> tuple[Reference, Float[np.ndarray, "3"]]:
-        """Make a scan that was matched, or the first one, a keyframe; return the reference, and its pose in that."""
+    def extended(self, reference: Reference | None, features: Any, fit: Any) -> tuple[Reference, np.ndarray]:
+        """Make a scan that was matched, or the first one, a keyframe; return the reference, and its pose there."""
         ...
 
     def followed(self, reference: Reference, features: Any, fit: Any) -> Reference:
@@ -83,3 +79,23 @@ class ScanMatcher(Protocol):
     def is_far(self, fit: Any, features: Any, geometry: ScanGeometry, reference: Reference) -> bool:
         """Whether a match is so far from every keyframe that the scan has to become one."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class ScanMatch:
+    """What one scan gave: the base's pose relative to the reference scan, or None and the reason why not.
+
+    rows: beams that took part. degenerate: directions of ξ (k, 3), of length 1 [m, m, rad], along which the scan says
+    nothing: there the pose is the guess's and its covariance wide. keyframe: the next scans are matched against it.
+    motion: pose of the base seen from where it was at the last scan, whatever the reference is; None: not known.
+    keyframe_noise (3, 3): of a keyframe, the part of its match's covariance that the matches to it have in common.
+    """
+
+    stamp: float
+    measurement: RelativePoseMeasurement | None
+    reason: str
+    rows: int
+    degenerate: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    keyframe: bool = False
+    motion: Float[np.ndarray, "3"] | None = None
+    keyframe_noise: Float[np.ndarray, "3 3"] | None = None

@@ -2,12 +2,10 @@
 
 Source: Jaimez, Monroy, Lopez-Antequera & Gonzalez-Jimenez 2018, "Robust planar odometry based on symmetric range flow
 and multiscan alignment". Where ours differs from its authors' implementation, and why:
-* true beam angles, any field of view and mounting; NaN, infinity and 0 are no returns;
-* it starts from a prior: wheels or a filter know more of a motion than the last motion does;
+* true beam angles, any field of view and mounting; NaN, infinity and 0 are no returns; it starts from a prior;
 * between neighbouring points inverse ranges are interpolated, which are those of a straight line;
-* the covariance is measured from the residuals, their correlation included (`flow_covariance`), and an error of the
-  last scan's pose goes on as far as that scan takes part; directions that the scans do not show are found out, and are
-  as wide as the prior says.
+* the covariance is measured from the residuals (`flow_covariance`), an error of the last scan's pose goes on as far as
+  that scan takes part, and directions that the scans do not show are as wide as the prior says.
 """
 
 from dataclasses import dataclass
@@ -54,9 +52,7 @@ class SymmetricFlow:
 
     with_last: bool
 
-    def features(
-        self, scan: LaserScan, geometry: ScanGeometry, motion: Float[np.ndarray, "3"], share: float
-    ) -> Keyscan:
+    def features(self, scan: LaserScan, geometry: ScanGeometry, motion: np.ndarray, share: float) -> Keyscan:
         """Return a scan as it would be seen from where its sweep began, with its pyramid."""
         g, low, high = geometry, float(scan.range_min), float(scan.range_max)
         r, pyramid = np.empty(g.beams), np.empty(g.start[-1])
@@ -66,9 +62,7 @@ class SymmetricFlow:
         count = int(np.count_nonzero(r))
         return Keyscan(r[None], count, np.inf, float(np.median(r[r > 0])) if count else 1.0, pyramid, g)
 
-    def extended(
-        self, reference: Scans | None, features: Keyscan, geometry: ScanGeometry, fit: Fit | None
-    ) -> tuple[Scans, Float[np.ndarray, "3"]]:
+    def extended(self, reference: Scans | None, features: Keyscan, fit: Fit | None) -> tuple[Scans, np.ndarray]:
         """Make a scan the keyscan: the only one, at the origin."""
         return Scans(features, features, np.zeros(3), np.zeros((3, 3))), np.zeros(3)
 
@@ -107,8 +101,5 @@ class SymmetricFlow:
         """Whether the rotation is too large for the translation, as the method's authors have it."""
         allowed, furthest = _FAR if geometry.beams >= 500 else _NEAR
         distance = float(np.hypot(fit.pose[0], fit.pose[1]))
-        return bool(
-            distance > furthest
-            or abs(fit.pose[2]) > allowed(distance)
-            or fit.rows < _OVERLAP * min(features.count, reference.key.count)
-        )
+        few = fit.rows < _OVERLAP * min(features.count, reference.key.count)
+        return bool(few or distance > furthest or abs(fit.pose[2]) > allowed(distance))
