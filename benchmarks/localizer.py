@@ -124,7 +124,7 @@ def turning() -> None:
         found[increment] = float(np.sqrt((off**2).sum(axis=1).mean())), float(np.mean(nees))
     (ate, nees), (without, nees_without) = found[0.1 / n], found[0.0]
     show("sweeps at 2 rad/s, ATE", ate, "m", 0.010)  # the bar of fast scans of 360 beams
-    show("sweeps at 2 rad/s, NEES", nees, "", 4.0, 1.0)
+    show("sweeps at 2 rad/s, NEES", nees, "", 4.0, 2.0)
     show("sweeps taken for instants, ATE", without, "m")
     show("sweeps taken for instants, NEES", nees_without, "")
     show("sweeps taken for instants, times the ATE", without / ate, "", np.inf, 1.5)

@@ -251,7 +251,7 @@ def test_a_sweep_after_a_blind_spell_is_carried_as_the_prior_says():
     found = lidar_odometry(scans, NOWHERE, priors=[None, *(se2.exp(twist) for twist in twists[:-1])])
     assert [match.measurement is None for match in found[9:17]] == [True] * 8
     usual, first = (np.abs(error_of(found[i], poses)).max() for i in (8, 17))
-    assert first < 2.0 * usual < 0.002
+    assert first < 2.0 * usual < 0.003  # after so sudden a start
 
 
 def test_sweeps_of_a_base_that_turns_to_and_fro_at_two_radians_a_second_are_far_better_undistorted(rng):
@@ -269,6 +269,20 @@ def test_sweeps_of_a_base_that_turns_to_and_fro_at_two_radians_a_second_are_far_
     with_it, without = errors(0.1 / n), errors(0.0)
     assert len(with_it) == len(without) == 59
     assert (np.median(with_it, axis=0) < 0.45 * np.median(without, axis=0)).all()
+
+
+def test_sweeps_whose_motion_lags_behind_say_how_wrong_that_makes_them(rng):
+    n, twists = 360, [np.array([0.02, 0.0, 0.2 * np.sin(0.1 * i)]) for i in range(120)]
+    poses = [np.array([-1.0, 0.0, 0.0])]
+    for twist in twists[:-1]:
+        poses.append(se2.compose(poses[-1], se2.exp(twist)))
+    sweeps = [r + 0.01 * rng.standard_normal(n) for r in sweeps_along(poses, twists)]
+    scans = [LaserScan(0.1 * i, r, -np.pi, 2 * np.pi / n, time_increment=0.1 / n) for i, r in enumerate(sweeps)]
+    nees = []
+    for match in lidar_odometry(scans, NOWHERE, priors=[None, *(se2.exp(twist) for twist in twists[:-1])])[20:]:
+        xi = error_of(match, poses)
+        nees.append(xi @ np.linalg.solve(match.measurement.covariance, xi))
+    assert 1.0 < np.mean(nees) < 6.0  # with the ranges' noise alone it is above 100
 
 
 def test_sweeps_of_a_laser_off_the_middle_and_turned_are_undistorted_by_its_own_motion(rng):

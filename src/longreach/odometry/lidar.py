@@ -6,6 +6,7 @@ is matched is a `ScanMatcher`'s; the default is `PointToLine`, to a local map.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -34,6 +35,7 @@ from longreach.odometry.scan_geometry import (
 __all__ = ["LidarConfig", "LidarState", "Method", "ScanMatch", "init", "lidar_odometry", "step"]
 
 _LASTING = 0.07  # [s] over which the mean of the motions forgets; two or three scans of a fast scanner
+_LAGGING = 0.2  # [s] over which it is learned how far twists lag behind in sweeps: two of a slow scanner
 _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
@@ -82,6 +84,18 @@ class LidarConfig(BaseModel):
         return PriorSettings(*deviations, *self.prior_acceleration, self.speed, self.turn)
 
 
+class Sweep(NamedTuple):
+    """How the last scan was undistorted: the part of a period that it took, and the twist (3,) in a period.
+
+    lag (3,): by how much such twists have been behind of late; square (3,): the mean square of what is left of that.
+    """
+
+    part: float
+    motion: Float[np.ndarray, "3"]
+    lag: Float[np.ndarray, "3"]
+    square: Float[np.ndarray, "3"]
+
+
 class LidarState(NamedTuple):
     """What LIDAR odometry remembers.
 
@@ -90,7 +104,7 @@ class LidarState(NamedTuple):
     the error of its own match, which all poses relative to it share; None: it began the reference.
     pose (3,): of the base at the last scan, in the reference; variance (3,): that has added up since the last match.
     motion (2, 3): the base's twist from scan to scan, the last and the mean; predicted (3,): the mean of the priors'.
-    observed: when a scan last showed all directions, or the first one was taken [s].
+    sweep: of the last scan. observed: when a scan last showed all directions, or the first one was taken [s].
     lost: scans without a match since the last one. geometries: of the kinds of scans seen so far.
     """
 
@@ -106,6 +120,7 @@ class LidarState(NamedTuple):
     stamp: float = -math.inf
     keyframe: float = -math.inf
     keyframe_noise: Float[np.ndarray, "3 3"] | None = None
+    sweep: Sweep = Sweep(0.0, _NONE, _NONE, _NONE)
     observed: float = math.inf
     lost: int = 0
     geometries: tuple[ScanGeometry, ...] = ()
@@ -139,7 +154,8 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
         prior = None
     period = scan.stamp - state.stamp if math.isfinite(state.stamp) else math.inf
     state, geometry = _geometry(state, scan)
-    features = _features(state, scan, geometry, prior, period)
+    before_sweep, (features, sweep) = state.sweep, _features(state, scan, geometry, prior, period)
+    state = state._replace(sweep=sweep)
     if state.reference is None:
         state, enough = state._replace(stamp=scan.stamp, observed=scan.stamp), features.count >= _FEWEST
         reason = "the scan is the first" if enough else f"only {features.count} beams see something"
@@ -161,6 +177,8 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
     if not isinstance(fit, str):
         moved = se2.between(state.pose, fit.pose)
         if not _is_too_fast(moved, period):
+            if sweep.part > 0.0:
+                state, fit = _with_sweep(state, before_sweep, fit, se2.log(moved), period)
             return _matched(state, scan, features, geometry, fit, moved)
         fit = "it would have moved the base faster than a base moves"
     state, match = _failed(state._replace(stamp=scan.stamp), features, expected, fit)
@@ -188,18 +206,36 @@ def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeome
 
 def _features(
     state: LidarState, scan: LaserScan, geometry: ScanGeometry, prior: np.ndarray | None, period: float
-) -> Features:
-    """Return the features of a scan, carried to where the sweep began by the mean of the last motions.
+) -> tuple[Features, Sweep]:
+    """Return the features of a scan, carried to where the sweep began by the mean of the last motions, and that motion.
 
-    A prior shows how that changes; what it says itself does worse, for wheels have errors of their own.
+    A prior shows how that changes; what it says itself does worse, for wheels have errors of their own. What that was
+    off by, one time after the other, shows how the motion lags.
     """
     share, motion = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0, np.zeros(3)
     if share > 0.0:
         motion = state.motion[1]
         if prior is not None:
             motion = motion + _mean(state.predicted, se2.log(prior), period) - state.predicted
-        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
-    return state.matcher.features(scan, geometry, motion, share)
+        motion = motion + state.sweep.lag
+    sweep = state.sweep._replace(part=share * len(scan.ranges), motion=motion)
+    motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
+    return state.matcher.features(scan, geometry, motion, share), sweep
+
+
+def _with_sweep(state: LidarState, before: Sweep, fit: Fit, moved: np.ndarray, period: float) -> tuple[LidarState, Fit]:
+    """Learn what the last sweep's motion was off by, now that it is shown; let matches be as wrong as that makes them.
+
+    moved (3,): the twist since the last scan. Its own noise counts three times: of two poses, and of the mean.
+    """
+    own = np.diag(fit.covariance - fit.shared)
+    sweep = state.sweep
+    if before.part > 0.0 and period < _RECENT and not state.variance.any():  # the last scan was matched, too
+        e, part = moved - before.motion, -math.expm1(-period / _LAGGING)
+        square = sweep.square + part * (e * e - 3.0 * own - sweep.square)
+        sweep = sweep._replace(lag=sweep.lag + part * e, square=square)
+    bent = np.maximum(sweep.part**2 * sweep.square - own, 0.0)  # less than the match's own noise is in its residuals
+    return state._replace(sweep=sweep), replace(fit, covariance=fit.covariance + np.diag(bent))
 
 
 def _mean(mean: np.ndarray, last: np.ndarray, period: float) -> np.ndarray:
