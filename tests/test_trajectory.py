@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from longreach.errors import LongreachError
 from longreach.geometry import se2
-from longreach.trajectory import PoseTrajectory, monotone_clock, stamp_deviation
+from longreach.trajectory import PoseTrajectory, monotone_clock
 
 # Stamps in milliseconds on a grid, at an offset of up to today's date: ties, jumps back and forth.
 offsets = st.sampled_from([0.0, 976052857.0, 1.7e9])
@@ -108,24 +108,6 @@ def test_stamps_that_leave_no_room_are_refused():
     stamp = 1.7e9
     with pytest.raises(LongreachError, match="too close together"):
         monotone_clock(np.array([stamp, *[np.nextafter(stamp, 2e9)] * 5, np.nextafter(np.nextafter(stamp, 2e9), 2e9)]))
-
-
-@given(offsets, st.floats(0.01, 1.0))
-def test_stamps_in_an_even_rhythm_are_not_off(offset, period):
-    assert stamp_deviation(offset + period * np.arange(50)) == pytest.approx(0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("sigma", [1e-4, 1e-3, 1e-2])
-def test_stamps_off_a_rhythm_are_found_to_be_so_by_as_much(rng, sigma):
-    stamps = 0.2 * np.arange(5000) + sigma * rng.normal(size=5000)
-    assert stamp_deviation(stamps) == pytest.approx(sigma, rel=0.1)
-    paused = stamps + 100.0 * (np.arange(5000) > 2500)
-    assert stamp_deviation(paused) == pytest.approx(stamp_deviation(stamps), rel=0.01)
-
-
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_too_few_stamps_have_no_rhythm(n):
-    assert stamp_deviation(np.array([0.0, 5.0])[:n]) == 0.0
 
 
 @pytest.fixture

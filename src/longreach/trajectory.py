@@ -57,17 +57,6 @@ def monotone_clock(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return clock
 
 
-def stamp_deviation(stamps: Float[np.ndarray, " n"]) -> float:
-    """Return how far stamps [s] are off an even rhythm, as a standard deviation; 0 of fewer than 3.
-
-    From the median of |second differences|, √6 times as large for independent errors. A sensor that is irregular, but
-    stamped right, looks the same: from the stamps alone the two cannot be told apart.
-    """
-    if len(stamps) < 3:
-        return 0.0
-    return float(np.median(np.abs(np.diff(stamps, 2)))) / (0.6745 * np.sqrt(6.0))
-
-
 @dataclass(frozen=True, eq=False)
 class PoseTrajectory:
     """Poses of the base [m, m, rad] in the order of motion.

@@ -144,6 +144,25 @@ def test_the_rhythm_of_the_scans_shows_how_wrong_stamps_are(thing, rng):
     assert state.now.settings.stamp_deviation == 0.0
 
 
+@pytest.mark.parametrize("offset", [0.0, 1.7e9])
+@pytest.mark.parametrize("period", [0.013, 0.1, 1.0])
+def test_stamps_in_an_even_rhythm_are_not_off(offset, period):
+    assert localizer.stamp_deviation(offset + period * np.arange(50)) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 1e-3, 1e-2])
+def test_stamps_off_a_rhythm_are_found_to_be_so_by_as_much(rng, sigma):
+    stamps = 0.2 * np.arange(5000) + sigma * rng.normal(size=5000)
+    assert localizer.stamp_deviation(stamps) == pytest.approx(sigma, rel=0.1)
+    paused = stamps + 100.0 * (np.arange(5000) > 2500)
+    assert localizer.stamp_deviation(paused) == pytest.approx(localizer.stamp_deviation(stamps), rel=0.01)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_too_few_stamps_have_no_rhythm(n):
+    assert localizer.stamp_deviation(np.array([0.0, 5.0])[:n]) == 0.0
+
+
 def test_the_heading_is_coupled_to_the_wheels_while_no_gyro_is_there(thing, recording):
     coupled, seen = [], localizer.init(thing)
     for reading in readings_of(recording.replace(scans=(), fixes=(), imu=recording.imu[100:200])):

@@ -46,7 +46,6 @@ from longreach.odometry.lidar import LidarState, ScanMatch
 from longreach.odometry.wheel import WheelState
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
-from longreach.trajectory import stamp_deviation
 
 __all__ = ["Localizer", "LocalizerConfig", "LocalizerState", "Output", "Reading", "Row", "init", "settled", "step"]
 
@@ -352,6 +351,17 @@ def _fix(state: LocalizerState, before: Estimates, key: Key, fix: PoseMeasuremen
 
 
 _TAKE = {"wheels": _wheels, "lidar": _scan, "imu": _imu, "fixes": _fix}
+
+
+def stamp_deviation(stamps: Float[np.ndarray, " n"]) -> float:
+    """Return how far stamps [s] are off an even rhythm, as a standard deviation; 0 of fewer than 3.
+
+    From the median of |second differences|, √6 times as large for independent errors. A sensor that is irregular, but
+    stamped right, looks the same.
+    """
+    if len(stamps) < 3:
+        return 0.0
+    return float(np.median(np.abs(np.diff(stamps, 2)))) / (0.6745 * np.sqrt(6.0))
 
 
 def _with_rhythm(state: LocalizerState, now: Estimates, source: Source, stamp: float) -> Estimates:

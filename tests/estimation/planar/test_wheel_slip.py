@@ -8,9 +8,9 @@ from keyframe_events import unchecked
 
 from longreach.estimation.planar.config import FilterConfig
 from longreach.estimation.planar.filter import in_order, init, step
+from longreach.estimation.planar.noise_adaptation import NO_SLIP, corrected, way
 from longreach.estimation.planar.state import Keyframe, PoseClone
 from longreach.estimation.planar.update import predicted
-from longreach.estimation.planar.wheel_slip import NO_SLIP, corrected, way
 from longreach.geometry import se2
 from longreach.measurement import RelativePoseMeasurement
 

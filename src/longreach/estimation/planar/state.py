@@ -11,8 +11,7 @@ from jaxtyping import Float
 from longreach.errors import EstimationError
 from longreach.estimation.planar import _ekf_kernels as kernels
 from longreach.estimation.planar.measurement_models import Measurement
-from longreach.estimation.planar.noise_adaptation import Noise
-from longreach.estimation.planar.wheel_slip import NO_SLIP, Slip, velocity
+from longreach.estimation.planar.noise_adaptation import NO_SLIP, Noise, Slip, velocity
 from longreach.estimation.replay_buffer import Key
 from longreach.measurement import RelativePoseMeasurement, _Stamped, frozen_array
 

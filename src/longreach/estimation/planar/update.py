@@ -24,9 +24,8 @@ from longreach.estimation.planar import ekf, motion_model
 from longreach.estimation.planar.config import FilterConfig
 from longreach.estimation.planar.fault_detection import bias_jumps_found, faults_found, moving, widened
 from longreach.estimation.planar.measurement_models import Measurement, Observation, Relation, observe
-from longreach.estimation.planar.noise_adaptation import NOMINAL, Noise, process_noise, scaled
+from longreach.estimation.planar.noise_adaptation import NOMINAL, Noise, corrected, process_noise, scaled, way
 from longreach.estimation.planar.state import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
-from longreach.estimation.planar.wheel_slip import corrected, way
 from longreach.estimation.replay_buffer import Key
 from longreach.geometry import se2
 from longreach.measurement import PoseMeasurement, RelativePoseMeasurement
