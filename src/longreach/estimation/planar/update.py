@@ -34,7 +34,7 @@ _OWN = 0.05  # at least this part of a match's variance is its own
 # Of the variance of a keyframe's match, the part that is the same error for the scans that are matched after it: nearly
 # all, for the scan enters the local map where that match put it. The rest is how the map itself drifts from keyframe to
 # keyframe; chosen so that the NEES of simulated drives is right (benchmarks/never_worse.py).
-_SAME = 0.97
+_SAME = 0.99
 _FAR = 1.0  # [m], [rad] from the reference, where it is renewed
 _LOST = 30.0  # [m], [rad] likewise where there is a keyframe: a laser's range, from where no scan is matched to it
 _STALE = 1.5  # [s] at most that a reading is taken for the last one once more; then the base stands
