@@ -25,6 +25,12 @@ def test_the_imu_says_how_its_bias_walks():
     assert filter_for(set_by_hand, robot).gyro_bias_walk == 0.125
 
 
+def test_one_setting_that_is_given_leaves_the_others_as_a_localizer_has_them():
+    plain, changed = LocalizerConfig(), LocalizerConfig.model_validate({"filter": {"gyro_bias_walk": 0.5}})
+    assert filter_for(changed, ROBOT) == filter_for(plain, ROBOT).changed(gyro_bias_walk=0.5)
+    assert filter_for(plain, ROBOT).gate_mode == "inflate"
+
+
 def test_settings_that_were_made_for_a_robot_stay_as_they_are_for_it():
     made = LocalizerConfig(filter=filter_for(LocalizerConfig(), ROBOT))
     assert filter_for(made, ROBOT.model_copy(update={"acceleration_limits": (9.0, 9.0, 9.0)})) == made.filter

@@ -12,15 +12,15 @@ from longreach.robot.description import RobotDescription
 
 Source = Literal["wheels", "lidar", "imu", "fixes"]
 
-# What the filter learns of its sensors on the way: their noise, and how wrong the scale of wheels is, where 2 % is what
-# rollers creep and tyres wear.
-_LEARNED = {"noise_memory": 300.0, "scale_deviation": (0.02, 0.02, 0.02)}
+# How a localizer uses its filter. What it learns of its sensors on the way: their noise, and how wrong the scale of
+# wheels is, where 2 % is what rollers creep and tyres wear. history: a sweep and its way, many times over.
+_USED = {"gate_mode": "inflate", "history": 0.5, "noise_memory": 300.0, "scale_deviation": (0.02, 0.02, 0.02)}
 
 
 class LocalizerConfig(BaseModel):
     """Settings of a localizer: which sources are fused, and each step's own.
 
-    Settings of the filter that are not given come from the robot; how wrong stamps are, and that a gyro is there, are
+    Settings of the filter that are not given come from `filter_for`; how wrong stamps are, and that a gyro is there, is
     learned on the way.
     """
 
@@ -31,14 +31,18 @@ class LocalizerConfig(BaseModel):
     )
     wheels: WheelConfig = WheelConfig()
     lidar: LidarConfig = LidarConfig()
-    filter: FilterConfig = FilterConfig(gate_mode="inflate", history=0.5)
+    filter: FilterConfig = FilterConfig()
 
 
 def filter_for(config: LocalizerConfig, robot: RobotDescription) -> FilterConfig:
-    """Return the filter's settings for a robot: its limits say how hard it accelerates, its IMU how the bias walks."""
+    """Return the filter's settings in a localizer of a robot, where they are not given.
+
+    The robot's limits say how hard it accelerates, its IMU how the bias walks; an innovation beyond the gate is taken
+    with a larger covariance, a reading may be 0.5 s late, and noise and scale errors are learned.
+    """
     described: dict[str, Any] = {
         "acceleration_deviation": tuple(limit / math.sqrt(3) for limit in robot.acceleration_limits),
-        **_LEARNED,
+        **_USED,
     }
     if robot.imu is not None:
         described["gyro_bias_walk"] = robot.imu.gyro_bias_walk

@@ -185,11 +185,10 @@ def init(
         T_base_laser, T_base_imu: where the sensors are; None: as the description says, else at the base.
     """
     config = config or LocalizerConfig()
+    config = config.model_copy(update={"filter": filter_for(config, robot)})
     start = np.zeros(3) if start is None else np.array(start, dtype=float)
     mount = _mount(robot.lidar) if T_base_laser is None else T_base_laser
-    estimates = Estimates(
-        filter_for(config, robot), wheel.init(robot, config.wheels), lidar.init(config.lidar, mount), start
-    )
+    estimates = Estimates(config.filter, wheel.init(robot, config.wheels), lidar.init(config.lidar, mount), start)
     buffer = replay_buffer.init((-np.inf, -1, ""), estimates)
     T_base_imu = _mount(robot.imu) if T_base_imu is None else T_base_imu
     return LocalizerState(robot, config, T_base_imu, start, start_on_map, buffer, {})
@@ -390,10 +389,10 @@ def _with_gyro(state: LocalizerState, now: Estimates, stamp: float) -> Estimates
 class Localizer:
     """A localizer that holds its own state: `init` and `step` for a loop of your own.
 
-    localizer = lr.Localizer(lr.load_robot("thing").description)
-    for reading in driver:                    # LaserScan, WheelTicks, Imu, ... in the order of arrival
+    localizer = lr.Localizer(lr.load_robot("thing"))
+    for reading in driver:           # LaserScan, WheelTicks, Imu, PoseMeasurement, ... in the order of arrival
         localizer.step(reading)
-        belief = localizer.belief()           # pose, twist and covariance in the frame odom
+        belief = localizer.belief()  # pose, twist and covariance in the frame odom
     """
 
     def __init__(
