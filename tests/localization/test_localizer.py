@@ -158,9 +158,14 @@ def test_stamps_off_a_rhythm_are_found_to_be_so_by_as_much(rng, sigma):
     assert localizer.stamp_deviation(paused) == pytest.approx(localizer.stamp_deviation(stamps), rel=0.01)
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
+def test_messages_that_are_held_up_and_come_all_at_once_have_bad_stamps():
+    held = np.concatenate([i + 0.001 * np.arange(13) for i in range(15)])
+    assert 0.01 < localizer.stamp_deviation(held) < 0.3  # their median is 0
+
+
+@pytest.mark.parametrize("n", range(5))
 def test_too_few_stamps_have_no_rhythm(n):
-    assert localizer.stamp_deviation(np.array([0.0, 5.0])[:n]) == 0.0
+    assert localizer.stamp_deviation(np.array([0.0, 5.0, 6.0, 9.0])[:n]) == 0.0
 
 
 def test_the_heading_is_coupled_to_the_wheels_while_no_gyro_is_there(thing, recording):
