@@ -89,6 +89,22 @@ def test_fixes_move_the_map_and_leave_odom_alone(thing, recording, rows):
     assert max(np.hypot(*(row.pose - pose)[:2]) for row, pose in zip(rows[1], expected, strict=True)) < 0.05
 
 
+@pytest.mark.parametrize("heading", [True, False])
+def test_first_fixes_that_are_not_finite_are_refused_and_the_next_ones_place_the_map(thing, recording, rows, heading):
+    P = np.diag([1e-4, 1e-4, 4e-4 if heading else np.inf])
+    good = [replace(fix, covariance=P) for fix in recording.fixes]
+    nan = np.full(3, np.nan)
+    bad = [
+        replace(good[0], pose=nan),
+        replace(good[0], covariance=np.full((3, 3), np.nan)),
+        replace(good[0], covariance=np.diag([np.inf] * 3)),
+    ]
+    state, output = localizer.step(localizer.init(thing), readings_of(recording.replace(fixes=(*bad, *good))))
+    assert sum(c.status == "refused" for c in output.corrections) == 3
+    assert np.isfinite(state.belief_on_map().pose).all()
+    np.testing.assert_allclose(state.belief_on_map().pose, rows[1][-1].pose, atol=0.05)
+
+
 def test_a_start_that_is_known_is_where_both_frames_begin(thing, recording):
     start, on_map = np.array([1.0, 2.0, 0.5]), (np.array([3.0, -1.0, 2.0]), np.diag([0.01, 0.02, 0.03]))
     state = localizer.init(thing, None, start, on_map)

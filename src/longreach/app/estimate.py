@@ -2,22 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EstimateConfig
-from longreach.app.evaluate import (
-    Evaluation,
-    Metrics,
-    Progress,
-    Relations,
-    evaluate,
-    innovations,
-    match_consistency,
-)
+from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate, innovations, match_consistency
 from longreach.errors import EstimationError
 from longreach.estimation.planar import filter as planar_filter
 from longreach.estimation.planar.smoother import smooth
@@ -138,20 +130,15 @@ def _localized(
     readings: list[Reading] = [reading for name in found if name in sources for reading in found[name]]
     readings.sort(key=lambda reading: reading.stamp)
     ordered = config.model_copy(update={"filter": config.filter.changed(history=0.0)})
-    state = localizer.init(
-        robot,
-        ordered,
-        T_base_laser=sensor_mount(recording, robot, "lidar"),
-        T_base_imu=sensor_mount(recording, robot, "imu"),
-    )
-    output = Output([], [], [], [], [])
+    laser, imu = (sensor_mount(recording, robot, sensor) for sensor in ("lidar", "imu"))
+    state = localizer.init(robot, ordered, T_base_laser=laser, T_base_imu=imu)
+    parts: list[Output] = []
     for i in range(0, len(readings), _BLOCK):
         tell("fusion", i / len(readings))
-        state, new = localizer.step(state, readings[i : i + _BLOCK])
-        for all_, some in zip(output, new, strict=True):
-            all_ += some
-    for all_, some in zip(output, localizer.settled(state), strict=True):
-        all_ += some
+        state, part = localizer.step(state, readings[i : i + _BLOCK])
+        parts.append(part)
+    parts.append(localizer.settled(state))
+    output = Output(*(list(chain.from_iterable(column)) for column in zip(*parts, strict=True)))
     names = {fix.source for fix in recording.fixes}
     if not any(correction.dof and correction.source not in names for correction in output.corrections):
         raise EstimationError(

@@ -23,6 +23,12 @@ class Fixed(NamedTuple):
     fix: PoseMeasurement
 
 
+def is_usable(fix: PoseMeasurement) -> bool:
+    """Whether a fix says where something is: what it measures is finite, and it measures a position."""
+    measured = np.isfinite(np.diag(fix.covariance))
+    return bool(measured[:2].all() and not np.isnan(fix.covariance).any() and np.isfinite(fix.pose[measured]).all())
+
+
 def from_fixes(fixed: tuple[Fixed, ...]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
     """Return the base's pose (3,) on the map at the last fix, and the covariance (3, 3) of its ξ; None: not yet known.
 

@@ -334,6 +334,8 @@ def _fix(state: LocalizerState, before: Estimates, key: Key, fix: PoseMeasuremen
     """Take an absolute pose: it tells where odom is on the map, and then corrects the estimate there alone."""
     global_ = before.global_
     if global_ is None:
+        if not initial_pose.is_usable(fix):
+            return before, _Taken([Correction(fix.stamp, fix.source, "refused", "it is not finite")], [])
         local = None if before.local is None else predicted(before.settings, before.local, key)
         fixed = (*before.fixed, Fixed(state.start if local is None else local.pose[0], fix))
         found = initial_pose.from_fixes(fixed)
