@@ -326,6 +326,12 @@ def test_a_pause_of_minutes_in_the_recording_is_bridged(thing):
     assert {c.status for c in result.corrections} == {"used"}
 
 
+def test_too_few_readings_after_a_long_pause_are_said(short, thing):
+    later = tuple(replace(w, stamp=w.stamp + 300.0) for w in short.wheels[-4:])
+    result = estimate(short.replace(wheels=(*short.wheels[:-4], *later), truth=None), thing, IN_ONE_WORLD)
+    assert "4 readings after a long pause were too few to be believed." in result.remarks
+
+
 @pytest.mark.parametrize(
     "config",
     [

@@ -150,6 +150,14 @@ def test_one_stamp_from_another_century_is_refused_and_a_pause_of_an_hour_is_not
     assert not [c for c in output.corrections if c.status == "refused"]  # nothing of it is lost
 
 
+@pytest.mark.parametrize("kind", ["imu", "wheels", "scans"])
+def test_a_first_stamp_of_another_clock_is_left_behind_when_the_others_confirm_theirs(thing, recording, rows, kind):
+    one = replace(getattr(recording, kind)[0], stamp=-1e9)
+    state, output = localizer.step(localizer.init(thing), [one, *readings_of(recording)])
+    left = [row for row in [*output.rows, *localizer.settled(state).rows] if row.stamp >= 0.0]
+    assert same_rows((left, []), (rows[0], []))
+
+
 def test_the_rhythm_of_the_scans_shows_how_wrong_stamps_are(thing, rng):
     stamps = np.arange(0.0, 40.0, 0.1) + 0.01 * rng.normal(size=400)
     wheels = [Odometry(float(stamp), pose=np.zeros(3)) for stamp in np.sort(stamps)]

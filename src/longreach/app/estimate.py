@@ -249,6 +249,8 @@ def _remarks(breaks: int, done: _Done) -> list[str]:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
     if done.state.now.fixed:
         remarks.append("The fixes lie too near each other to show the heading on the map, so nothing is localized.")
+    if done.state.buffer.waiting:
+        remarks.append(f"{len(done.state.buffer.waiting)} readings after a long pause were too few to be believed.")
     failed = [match for match in matches if match.measurement is None]
     if failed:
         remarks.append(f"{len(failed)} of {len(matches)} scans gave no match; the first because {failed[0].reason}.")

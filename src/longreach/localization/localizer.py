@@ -13,7 +13,7 @@ Whoever estimates uses this one program: the robot's loop, the network server, R
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -95,7 +95,7 @@ class Estimates(NamedTuple):
     settings: of the filters, with what is learned of stamps and gyro. local: the filter in the frame odom, None before
     the first reading; global_: in the frame map, None as long as nothing says where that is; fixed: the fixes until
     then. steps: the last ones of the wheels. dead_reckoned (3,): the pose by the wheels alone. rhythm: the last stamps
-    of scans, else of wheels [s], and of which of the two. gyro: stamp of its last reading [s].
+    of scans, else of wheels [s], and of which of the two. gyro: stamp of its last reading [s]. taken: readings so far.
     """
 
     settings: FilterConfig
@@ -109,6 +109,7 @@ class Estimates(NamedTuple):
     rhythm: tuple[float, ...] = ()
     rhythm_of: Source = "wheels"
     gyro: float = -np.inf
+    taken: int = 0
 
 
 class _Taken(NamedTuple):
@@ -188,10 +189,13 @@ def init(
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     start = np.zeros(3) if start is None else np.array(start, dtype=float)
     mount = _mount(robot.lidar) if T_base_laser is None else T_base_laser
-    estimates = Estimates(config.filter, wheel.init(robot, config.wheels), lidar.init(config.lidar, mount), start)
-    buffer = replay_buffer.init((-np.inf, -1, ""), estimates)
+    buffer = replay_buffer.init((-np.inf, -1, ""), _initial(robot, config, start, mount))
     T_base_imu = _mount(robot.imu) if T_base_imu is None else T_base_imu
     return LocalizerState(robot, config, T_base_imu, start, start_on_map, buffer, {})
+
+
+def _initial(robot: RobotDescription, config: LocalizerConfig, start: np.ndarray, mount: np.ndarray) -> Estimates:
+    return Estimates(config.filter, wheel.init(robot, config.wheels), lidar.init(config.lidar, mount), start)
 
 
 def step(state: LocalizerState, readings: Iterable[Reading]) -> tuple[LocalizerState, Output]:
@@ -222,8 +226,7 @@ def _mount(sensor) -> np.ndarray:
 
 
 def _belief(state: LocalizerState, newest: Snapshot | None, stamp: float | None) -> Belief:
-    if newest is None:
-        newest = planar_filter.init(0.0 if stamp is None else stamp, state.start, None, state.now.settings).newest
+    newest = newest or planar_filter.init(stamp or 0.0, state.start, None, state.now.settings).newest
     if stamp is not None and stamp > newest.key[0]:
         newest = predicted(state.now.settings, newest, (stamp, 0, ""))
     return newest.belief
@@ -243,8 +246,7 @@ def _corrections(decided: list[Decided], turned_away: dict[str, int]) -> tuple[l
 
 def _rows(entries: list[Entry]) -> tuple[list[Row], list[Row]]:
     """Return a row of each stamp, as of its last reading, of all entries but the last."""
-    rows: list[Row] = []
-    on_map: list[Row] = []
+    rows, on_map = list[Row](), list[Row]()
     for entry, after in pairwise(entries):
         stamp = entry.key[0]
         if after.key[0] > stamp and entry.event is not None:
@@ -262,6 +264,11 @@ def _come_of(entries: Iterable[Entry]) -> tuple[list[ScanMatch], list[Event]]:
 def _take(state: LocalizerState, before: Estimates, key: Key, reading: Reading) -> tuple[Estimates, _Taken]:
     """Take one reading: what it measures, and what the filters make of that."""
     _, source = _SOURCES[type(reading)]
+    limit, local = state.config.filter, before.local
+    far = local is not None and key[0] - local.key[0] > limit.longest_prediction
+    if far and before.taken <= limit.gate_patience:  # those that confirm the later clock are more
+        before = _initial(state.robot, state.config, state.start, before.lidar.T_base_laser)
+    before = before._replace(taken=before.taken + 1)
     if before.local is None and not isinstance(reading, PoseMeasurement):  # which odom is to know nothing of
         before = _started(state, before, key[0])
     return _TAKE[source](state, before, key, reading)
@@ -292,9 +299,7 @@ def _wheels(state: LocalizerState, before: Estimates, key: Key, record: Wheels) 
     is_taken = record.stamp in wheels.stamps[-1:] and record.stamp not in before.wheels.stamps[-1:]
     if is_taken and not (steps and steps[-1].reading_covariance is not None):
         events.append(PoseClone(record.stamp, "wheels"))
-    pose = before.dead_reckoned
-    for one in steps:
-        pose = se2.compose(pose, one.pose)
+    pose = reduce(se2.compose, (one.pose for one in steps), before.dead_reckoned)
     now = before._replace(wheels=wheels, steps=(*before.steps, *steps)[-_STEPS:], dead_reckoned=pose)
     if before.rhythm_of == "wheels":
         now = _with_rhythm(state, now, "wheels", record.stamp)
