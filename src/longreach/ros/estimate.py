@@ -87,9 +87,12 @@ class Estimator:
         self._kept.append(heard)
         readings = [one for some in self._kept for one in (*sensed(some.readings), *some.fixes)]
         readings.sort(key=lambda reading: reading.stamp)
-        self._began = min(self._began, now) if readings else math.inf
+        if not readings:
+            self._kept.clear()
+            return Output([], [], [], [], [])
+        self._began = min(self._began, now)
         if self.where is None:
-            if not readings or (self._mounts is not None and now - self._began < _BEFORE):
+            if self._mounts is not None and now - self._began < _BEFORE:
                 return Output([], [], [], [], [])
             robot = self._robot
             if self._mounts is not None:
