@@ -66,10 +66,12 @@ def test_the_filter_on_the_map_is_the_one_in_odom_about_another_reference(rng):
     state = planar_filter.init(0.0, np.zeros(3))
     for k in range(1, 20):
         state, _ = planar_filter.step(state, TwistMeasurement(0.1 * k, np.array([0.5, 0.0, 0.3]), 1e-4 * np.eye(3)))
-    local, P = state.newest, np.diag([0.01, 0.02, 0.03])
+    A = rng.normal(size=state.newest.P.shape)  # an odom whose reference is correlated with all else
+    local, P = state.newest._replace(P=A @ A.T), np.diag([0.01, 0.02, 0.03])
     placed = on_map(local, MOTION, P)
     pose, covariance = placed.pose
     np.testing.assert_allclose(pose, MOTION, atol=1e-12)
     np.testing.assert_allclose(covariance, P + local.P[:3, :3], atol=1e-12)
     np.testing.assert_array_equal(placed.mean[:13], local.mean[:13])
+    np.testing.assert_array_equal(placed.P[13:16, :13], 0.0)
     assert np.linalg.eigvalsh(placed.P)[0] > -1e-12

@@ -105,6 +105,14 @@ def test_first_fixes_that_are_not_finite_are_refused_and_the_next_ones_place_the
     np.testing.assert_allclose(state.belief_on_map().pose, rows[1][-1].pose, atol=0.05)
 
 
+def test_a_fix_makes_a_row_on_the_map_and_none_in_odom(thing, recording):
+    fixes = [replace(fix, stamp=fix.stamp + 0.0031) for fix in recording.fixes]
+    odom, on_map = settled_rows(localizer.init(thing), [readings_of(recording.replace(fixes=tuple(fixes)))])
+    stamps = {fix.stamp for fix in fixes if fix.stamp < recording.wheels[-1].stamp}
+    assert not stamps & {row.stamp for row in odom}
+    assert stamps <= {row.stamp for row in on_map}
+
+
 def test_a_start_that_is_known_is_where_both_frames_begin(thing, recording):
     start, on_map = np.array([1.0, 2.0, 0.5]), (np.array([3.0, -1.0, 2.0]), np.diag([0.01, 0.02, 0.03]))
     state = localizer.init(thing, None, start, on_map)
