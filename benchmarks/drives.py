@@ -52,7 +52,7 @@ def make_drive_recording(world: str, floor: str | None, seed: int, duration: flo
     at = _ROOM[world][0]
     moved = load_world(world).moved(float(middle[0] - at[0]), float(middle[1] - at[1]))
     simulation = Simulation(robot, moved, seed=seed, floor=floor)
-    rate = simulation.promises.base_rate
+    rate = simulation.capabilities.base_rate
     motion = move(drive, np.arange(math.ceil(duration * rate) + 1) / rate)
     twists, poses = motion.twist, motion.poses
 

@@ -27,8 +27,8 @@ from longreach.app.goals import Follow
 from longreach.app.operated import simulated
 from longreach.app.robot_side import Orders
 from longreach.evaluation.execution import tool_metrics
-from longreach.live.promptness import prompt
-from longreach.live.serving import tracker_config
+from longreach.live.realtime_settings import apply_realtime_settings
+from longreach.live.server.serving import tracker_config
 
 _WATCH = "import sys, time, longreach as lr\nclient = lr.connect(sys.argv[1])\nprint(flush=True)\ntime.sleep(1e6)"
 # How late a process that only sleeps is woken, p50 and p99 [ms]: below that no message can be received either.
@@ -108,11 +108,11 @@ def costs(server, seconds):
 
 def ways(server, minutes):
     """Losses and delays of one client, and the server's memory, over a time, as rows of the report."""
-    prompt()
+    apply_realtime_settings()
     with lr.connect(_ADDRESS) as client:
         time.sleep(2.0)
         stamps, scans, memory, offsets = [], [], [], []
-        client._ears.delays.clear()
+        client._subscriber.delays.clear()
         lost, delays = client.lost, []
         client.on_state(lambda state: stamps.append(state.stamp))
         client.on_scan(lambda scan: scans.append(scan.stamp))
@@ -122,8 +122,8 @@ def ways(server, minutes):
         began, cpu = time.monotonic(), server.cpu()
         while time.monotonic() - began < 60.0 * minutes:
             time.sleep(2.0)
-            delays.append(np.array(client._ears.delays, dtype=np.float32))
-            client._ears.delays.clear()
+            delays.append(np.array(client._subscriber.delays, dtype=np.float32))
+            client._subscriber.delays.clear()
             memory.append((time.monotonic() - began, server.memory()))
             offsets.append(client.offset)
         delays, memory = 1e3 * np.concatenate(delays), np.array(memory)
@@ -133,7 +133,7 @@ def ways(server, minutes):
         p50, p99, p100 = np.percentile(delays, [50, 99, 100])
         slope, error = slope_of(memory[memory[:, 0] > min(60.0, 30.0 * minutes)])
         late = [float(word) for word in sleeper.communicate("over")[0].split()]
-        half = 0.5e3 * min(client._line._pings)[0]
+        half = 0.5e3 * min(client._connection._pings)[0]
         stops = [stop_takes(client) for _ in range(20)]
     return [
         ("states, scans each second", f"{len(stamps) / wall:.1f}, {len(scans) / wall:.1f}", "125, 40"),
@@ -193,7 +193,7 @@ def dual_trajectory(length, seeds):
     the experiment as `longreach run` does it, which begins at once: another stretch of the same noise.
     """
     config, thing, errors = DualTrajectoryConfig(length=length), lr.load_robot("thing"), []
-    prompt()
+    apply_realtime_settings()
     for seed in range(seeds):
         settings = config.execution(seed, "closed")
         server, states = Server("sim", "--world", settings.world, "--seed", str(seed)), []

@@ -18,7 +18,7 @@ import time
 import numpy as np
 
 from longreach.app import robot_side
-from longreach.app.goals import Direct
+from longreach.app.goals import VelocityGoal
 from longreach.app.robot_side import Orders
 from longreach.app.tracker import TrackerConfig, sensed
 from longreach.control.hardware import Command
@@ -47,14 +47,16 @@ def show(what: str, value: float, unit: str, high: float = float("nan"), low: fl
     print(f"{what:58} {value:9.4f} {unit:4} {bar}", flush=True)
 
 
-def drive(seconds: float) -> list[robot_side.Moment]:
+def drive(seconds: float) -> list[robot_side.TickRecord]:
     """Drive to and fro in the laboratory; return what each tick knew and took."""
-    robot, moments = load_robot(ROBOT), list[robot_side.Moment]()
+    robot, moments = load_robot(ROBOT), list[robot_side.TickRecord]()
     body = KinematicRobot(robot, seed=1, config=KinematicConfig(present=("wheels", "imu", "joints", "lidar")))
 
     def orders(now: float) -> Orders:
         side = 1.0 if int(now / 4.0) % 2 == 0 else -1.0
-        return Orders(goal=Direct(Command(now, np.zeros(6), base=np.array([0.4, 0.2, 0.5]) * side), now), heartbeat=now)
+        return Orders(
+            goal=VelocityGoal(Command(now, np.zeros(6), base=np.array([0.4, 0.2, 0.5]) * side), now), heartbeat=now
+        )
 
     robot_side.run(
         body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, body.truth().base, orders,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 # Shapes are not checked in the server's process, where that is too slow. UDP has no option: it is for tests alone.
-_SERVE = "import sys; from longreach.live import link; link.PROTOCOL = sys.argv.pop(1); \
+_SERVE = "import sys; from longreach.live.protocol import transport; transport.PROTOCOL = sys.argv.pop(1); \
 from longreach.cli.main import main; main(sys.argv[1:])"
 
 

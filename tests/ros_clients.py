@@ -118,7 +118,7 @@ def driven(robot, arm, twist, velocity, seconds):
     After the last command nothing is said, and a second later nothing moves.
     """
     hardware = connect_ros(robot, arm=arm)
-    names = hardware.promises.arm_names
+    names = hardware.capabilities.arm_names
     with listening("/truth", "geometry_msgs/msg/PoseStamped") as (truth, _):
         until(lambda: truth, 10.0, "the truth")
         q, base = joint_positions(names), _place(truth[-1])

@@ -63,7 +63,7 @@ PROSE = {
     "told": ("told", "observable, published, commanded, predicted, as meant"),
     "wish": ("wish(es)?", "desired velocity"),
 }
-OF_LIBRARIES = {"bbox_to_anchor", "isTrusted", "perf_counter"}
+OF_LIBRARIES = {"Counter", "attachment", "bbox_to_anchor", "isTrusted", "perf_counter"}
 
 PARTS = {form: word for word, (forms, _) in NAMES.items() for form in forms.split()}
 INSTEAD = WHOLE_NAMES | {word: instead for word, (_, instead) in (NAMES | PROSE).items()}

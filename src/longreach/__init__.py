@@ -41,8 +41,8 @@ _PUBLIC = {
     "plan": "longreach.planning.planner",
     "thesis_problem": "longreach.planning.thesis_problem",
     "solve_priority": "longreach.planning.task_priority",
-    "connect": "longreach.live.client",
-    "lookup": "longreach.live.frames",
+    "connect": "longreach.live.client.client",
+    "lookup": "longreach.live.protocol.frames",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

@@ -9,8 +9,8 @@ from longreach.control.hardware import Command, Hardware, Readings
 from longreach.errors import LongreachError
 from longreach.io.recording import read_recording
 from longreach.io.robots import load_robot
-from longreach.live.client import connect
-from longreach.live.frames import lookup
+from longreach.live.client.client import connect
+from longreach.live.protocol.frames import lookup
 from longreach.localization.config import LocalizerConfig
 from longreach.localization.localizer import Localizer
 from longreach.measurement import (

@@ -7,7 +7,7 @@ import longreach as lr
 from longreach.app import robot_side, tracker
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
-from longreach.app.goals import Direct, Follow, Hold, Reach
+from longreach.app.goals import Follow, Hold, ServoGoal, VelocityGoal
 from longreach.app.robot_side import Orders
 from longreach.app.tracker import TrackerConfig
 from longreach.configuration import ConfigurationTrajectory
@@ -30,61 +30,61 @@ def thing():
 
 def _serve(thing, orders, duration):
     """Serve a simulated robot, whose time costs nothing; orders: from the time [s] to `Orders`."""
-    body, moments = KinematicRobot(thing, seed=2), []
+    body, records = KinematicRobot(thing, seed=2), []
     robot_side.run(
-        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3), orders, moments.append,
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3), orders, records.append,
         lambda: "over" if body.stamp >= duration else "", _CONFIG,
     )  # fmt: skip
-    return body, moments
+    return body, records
 
 
-def _speeds(moments):
-    return np.array([m.tick.command.arm for m in moments]), np.array([m.state.gate.twist for m in moments])
+def _speeds(records):
+    return np.array([m.tick.command.arm for m in records]), np.array([m.state.gate.twist for m in records])
 
 
-def _within_limits(thing, moments):
-    arm, base = _speeds(moments)
+def _within_limits(thing, records):
+    arm, base = _speeds(records)
     hardest = thing.limits.acceleration * 0.008 + 1e-9
     assert np.all(np.abs(np.diff(arm, axis=0)) <= hardest[thing.arm])
     assert np.all(np.abs(np.diff(base, axis=0)) <= hardest[thing.base])
 
 
 def test_a_robot_that_is_asked_for_nothing_stands(thing):
-    body, moments = _serve(thing, lambda now: Orders(), 0.2)
-    arm, base = _speeds(moments)
+    body, records = _serve(thing, lambda now: Orders(), 0.2)
+    arm, base = _speeds(records)
     assert not arm.any()
     assert not base.any()
-    assert all(m.tick.stop is None for m in moments)
+    assert all(m.tick.stop is None for m in records)
     assert body.stopped == "over"
 
 
 def test_it_drives_as_it_is_told_and_stands_when_nobody_tells_it_any_more(thing):
     def orders(now):
-        told = Direct(Command(now, np.full(6, 0.1), base=_TWIST), now) if 0.1 < now < 0.6 else None
+        told = VelocityGoal(Command(now, np.full(6, 0.1), base=_TWIST), now) if 0.1 < now < 0.6 else None
         return Orders(goal=told, heartbeat=now)
 
-    _, moments = _serve(thing, orders, 1.2)
-    arm, base = _speeds(moments)
-    t = np.array([m.tick.stamp for m in moments])
+    _, records = _serve(thing, orders, 1.2)
+    arm, base = _speeds(records)
+    t = np.array([m.tick.stamp for m in records])
     assert np.allclose(base[(t > 0.4) & (t < 0.6)], _TWIST)
     assert np.allclose(arm[(t > 0.4) & (t < 0.6)], 0.1)
     assert np.abs(base[t > 0.6 + 0.25 + 0.25]).max() == 0.0
-    assert isinstance(moments[-1].state.goal, Hold)
-    assert moments[-1].tick.stop is None  # it is not stopped, it stands
-    _within_limits(thing, moments)
+    assert isinstance(records[-1].state.goal, Hold)
+    assert records[-1].tick.stop is None  # it is not stopped, it stands
+    _within_limits(thing, records)
 
 
 def test_a_tool_is_pulled_to_its_pose_while_the_base_stands(thing):
     T = thing.forward(thing.home)
     T[:3, 3] += [0.05, -0.04, 0.06]
-    _, moments = _serve(thing, lambda now: Orders(goal=Reach(T) if now < 0.05 else None), 1.8)
-    reached = thing.forward(np.concatenate([np.zeros(3), moments[-1].tick.q[3:]]))
+    _, records = _serve(thing, lambda now: Orders(goal=ServoGoal(T) if now < 0.05 else None), 1.8)
+    reached = thing.forward(np.concatenate([np.zeros(3), records[-1].tick.q[3:]]))
     assert np.linalg.norm(reached[:3, 3] - T[:3, 3]) < 1e-3
-    assert not _speeds(moments)[1].any()
-    J = thing.forward_and_jacobian_batch(np.array([m.tick.q for m in moments]))[1]
-    speed = np.linalg.norm(np.einsum("nij,nj->ni", J[:, :3, thing.arm], _speeds(moments)[0]), axis=1)
+    assert not _speeds(records)[1].any()
+    J = thing.forward_and_jacobian_batch(np.array([m.tick.q for m in records]))[1]
+    speed = np.linalg.norm(np.einsum("nij,nj->ni", J[:, :3, thing.arm], _speeds(records)[0]), axis=1)
     assert 0.2 < speed.max() < 0.26
-    _within_limits(thing, moments)
+    _within_limits(thing, records)
 
 
 def _turn(thing, by=0.3, time=1.0):
@@ -101,30 +101,30 @@ def test_a_plan_is_followed_to_its_end_as_the_tracker_follows_it_and_then_the_ro
         config, lambda tick, part: ticks.append(tick), lambda: body.stamp,
     )  # fmt: skip
     begun = ticks[0].stamp
-    _, moments = _serve(
+    _, records = _serve(
         thing, lambda now: Orders(goal=Follow(plan, -0.1) if now <= begun else None), ticks[-1].stamp + 0.3
     )
-    ours = {m.tick.stamp: m.tick.q for m in moments}
+    ours = {m.tick.stamp: m.tick.q for m in records}
     assert all(np.array_equal(tick.q, ours[tick.stamp]) for tick in ticks)
-    assert moments[-1].tick.q[3] == pytest.approx(0.1, abs=2e-3)
-    assert max(m.state.goal.progress for m in moments if isinstance(m.state.goal, Follow)) == 1.0
-    assert isinstance(moments[-1].state.goal, Hold)
+    assert records[-1].tick.q[3] == pytest.approx(0.1, abs=2e-3)
+    assert max(m.state.goal.progress for m in records if isinstance(m.state.goal, Follow)) == 1.0
+    assert isinstance(records[-1].state.goal, Hold)
 
 
 def test_a_stop_brakes_within_the_limits_and_holds_until_the_reset(thing):
     def orders(now):
-        told = Direct(Command(now, np.full(6, 0.3), base=_TWIST), now)
+        told = VelocityGoal(Command(now, np.full(6, 0.3), base=_TWIST), now)
         return Orders(goal=told, stop="Stop!" if 0.5 < now < 0.51 else "", reset=1.0 < now < 1.01, heartbeat=now)
 
-    _, moments = _serve(thing, orders, 1.5)
-    t = np.array([m.tick.stamp for m in moments])
-    _, base = _speeds(moments)
-    stopped = [m for m in moments if m.tick.stop is not None]
+    _, records = _serve(thing, orders, 1.5)
+    t = np.array([m.tick.stamp for m in records])
+    _, base = _speeds(records)
+    stopped = [m for m in records if m.tick.stop is not None]
     assert {m.tick.stop.reason for m in stopped} == {"Stop!"}
     assert stopped[0].tick.stamp - 0.5 < 0.02  # at the tick after it came
     assert np.abs(base[(t > 0.9) & (t < 1.0)]).max() == 0.0
     assert np.allclose(base[-1], _TWIST)
-    _within_limits(thing, moments)
+    _within_limits(thing, records)
 
 
 def test_a_client_that_vanishes_stops_the_robot_and_its_plan_waits_for_it(thing):
@@ -134,15 +134,15 @@ def test_a_client_that_vanishes_stops_the_robot_and_its_plan_waits_for_it(thing)
         heard = begin if begin < now < back else now
         return Orders(goal=Follow(plan, 0.0) if now < 0.01 else None, heartbeat=heard)
 
-    _, moments = _serve(thing, orders, 1.8)
-    first = next(m.tick for m in moments if m.tick.stop is not None)
+    _, records = _serve(thing, orders, 1.8)
+    first = next(m.tick for m in records if m.tick.stop is not None)
     assert first.stop.cause == "client gone"
     assert first.stamp - begin < 0.25
-    arm, _ = _speeds(moments)
-    t = np.array([m.tick.stamp for m in moments])
+    arm, _ = _speeds(records)
+    t = np.array([m.tick.stamp for m in records])
     assert np.abs(arm[(t > begin + 0.45) & (t < back)]).max() < 1e-9
-    assert moments[-1].tick.q[3] == pytest.approx(0.5, abs=5e-3)
-    _within_limits(thing, moments)
+    assert records[-1].tick.q[3] == pytest.approx(0.5, abs=5e-3)
+    _within_limits(thing, records)
 
 
 def test_a_client_that_is_gone_for_long_is_not_waited_for(thing):
@@ -151,22 +151,22 @@ def test_a_client_that_is_gone_for_long_is_not_waited_for(thing):
     def orders(now):
         return Orders(goal=Follow(plan, 0.0) if now < 0.02 else None, heartbeat=now - 3.0 if now > 0.05 else now)
 
-    _, moments = _serve(thing, orders, 0.1)
-    assert isinstance(moments[-1].state.goal, Hold)
+    _, records = _serve(thing, orders, 0.1)
+    assert isinstance(records[-1].state.goal, Hold)
 
 
 def test_the_pose_by_the_wheels_alone_is_the_one_of_an_estimate_from_the_recording(thing):
     def orders(now):
-        return Orders(goal=Direct(Command(now, base=_TWIST), now), heartbeat=now)
+        return Orders(goal=VelocityGoal(Command(now, base=_TWIST), now), heartbeat=now)
 
-    _, moments = _serve(thing, orders, 1.0)
-    records = tuple(w for m in moments for w in m.readings.wheels)
-    imu = tuple(i for m in moments for i in m.readings.imu)
-    path = estimate(Recording("again", wheels=records, imu=imu), thing).trajectories["wheels"]
-    assert np.allclose(moments[-1].wheels, path.poses[-1], atol=2e-3)  # the first reading belongs to the start
+    _, records = _serve(thing, orders, 1.0)
+    wheels = tuple(w for m in records for w in m.readings.wheels)
+    imu = tuple(i for m in records for i in m.readings.imu)
+    path = estimate(Recording("again", wheels=wheels, imu=imu), thing).trajectories["wheels"]
+    assert np.allclose(records[-1].wheels, path.poses[-1], atol=2e-3)  # the first reading belongs to the start
 
 
 def test_the_fingers_do_what_they_are_told(thing):
     wish = GripperCommand("position", 0.3)
-    _, moments = _serve(thing, lambda now: Orders(gripper=wish if now < 0.01 else None), 1.0)
-    assert moments[-1].readings.gripper.closed == pytest.approx(0.3, abs=0.02)
+    _, records = _serve(thing, lambda now: Orders(gripper=wish if now < 0.01 else None), 1.0)
+    assert records[-1].readings.gripper.closed == pytest.approx(0.3, abs=0.02)

@@ -44,7 +44,7 @@ class Tampered:
     """A robot whose readings are changed on their way, and whose commands are kept."""
 
     def __init__(self, robot, change=lambda readings: readings):
-        self.robot, self.change, self.promises = robot, change, robot.promises
+        self.robot, self.change, self.capabilities = robot, change, robot.capabilities
         self.written, self.reasons = [], []
 
     def read(self):
@@ -77,17 +77,17 @@ def _tools(thing, run):
 
 
 def _within_limits(hardware):
-    """Whether speeds and their changes from one command to the next are what the robot promises, base and arm."""
-    promises = hardware.promises
+    """Whether speeds and their changes from one command to the next are what the robot capabilities, base and arm."""
+    capabilities = hardware.capabilities
     arm = np.array([c.arm for c in hardware.written])
     stamps = np.array([c.stamp for c in hardware.written])
-    assert np.all(np.abs(arm) <= promises.arm_limits.velocity + 1e-9)
+    assert np.all(np.abs(arm) <= capabilities.arm_limits.velocity + 1e-9)
     dt = np.diff(stamps)[:, None]
-    assert np.all(np.abs(np.diff(arm, axis=0)) <= promises.arm_limits.acceleration * dt + 1e-9)
+    assert np.all(np.abs(np.diff(arm, axis=0)) <= capabilities.arm_limits.acceleration * dt + 1e-9)
     sent = [(c.stamp, c.base) for c in hardware.written if c.base is not None]
     base, dt = np.array([b for _, b in sent]), np.diff([s for s, _ in sent])[:, None]
-    assert np.all(np.abs(base) <= promises.base_velocity + 1e-9)
-    assert np.all(np.abs(np.diff(base, axis=0)) <= promises.base_acceleration * dt + 1e-9)
+    assert np.all(np.abs(base) <= capabilities.base_velocity + 1e-9)
+    assert np.all(np.abs(np.diff(base, axis=0)) <= capabilities.base_acceleration * dt + 1e-9)
 
 
 def test_the_tool_follows_its_plan_where_the_robot_thinks_it_is(thing, line):

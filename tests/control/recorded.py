@@ -13,8 +13,8 @@ NOTHING = np.zeros(0)
 class RecordedHardware:
     """A robot that gives back recorded readings and keeps what it is told: the shortest driver that works."""
 
-    def __init__(self, promises, recorded):
-        self.promises, self._recorded = promises, list(recorded)
+    def __init__(self, capabilities, recorded):
+        self.capabilities, self._recorded = capabilities, list(recorded)
         self.written, self.stopped = [], None
 
     def read(self):

@@ -48,8 +48,8 @@ def test_settings_are_chosen_by_their_kind_and_survive_yaml(tmp_path):
     assert read_config(tmp_path / "control.yaml", Settings) == settings
 
 
-def test_the_gates_settings_survive_yaml(tmp_path, promises):
-    config = limits_of(promises, SafetyConfig(force_limit=50.0))
+def test_the_gates_settings_survive_yaml(tmp_path, capabilities):
+    config = limits_of(capabilities, SafetyConfig(force_limit=50.0))
     (tmp_path / "safety.yaml").write_text(to_yaml(config))
     assert read_config(tmp_path / "safety.yaml", SafetyConfig) == config
 
@@ -63,27 +63,27 @@ def test_the_gates_settings_survive_yaml(tmp_path, promises):
         ({"acceleration": (1.0, 0.0)}, "greater than 0"),
     ],
 )
-def test_limits_that_are_none_are_refused(promises, values, message):
-    arm = limits_of(promises).arm.model_dump()
+def test_limits_that_are_none_are_refused(capabilities, values, message):
+    arm = limits_of(capabilities).arm.model_dump()
     with pytest.raises(ValidationError, match=message):
         SafetyConfig.model_validate({"arm": {**arm, **values}})
 
 
-def test_a_robot_that_does_not_say_how_hard_it_accelerates_is_refused(promises):
-    limits = replace(promises.arm_limits, acceleration=np.array([1.0, np.inf]))
+def test_a_robot_that_does_not_say_how_hard_it_accelerates_is_refused(capabilities):
+    limits = replace(capabilities.arm_limits, acceleration=np.array([1.0, np.inf]))
     with pytest.raises(ControlError, match=r"elbow may move at 3 rad/s and inf rad/s²; give the robot's description"):
-        limits_of(replace(promises, arm_limits=limits))
+        limits_of(replace(capabilities, arm_limits=limits))
 
 
-def test_limits_of_ones_own_are_kept(promises):
-    own = limits_of(promises).model_copy(update={"base": None})
-    assert limits_of(promises, own).arm is own.arm
-    assert limits_of(promises, own).base.velocity == (1.1, 1.1, 2.0)
+def test_limits_of_ones_own_are_kept(capabilities):
+    own = limits_of(capabilities).model_copy(update={"base": None})
+    assert limits_of(capabilities, own).arm is own.arm
+    assert limits_of(capabilities, own).base.velocity == (1.1, 1.1, 2.0)
 
 
-def test_a_double_of_a_robot_is_driven_from_reading_to_writing(promises):
-    robot: Hardware = RecordedHardware(promises, [readings(k * PERIOD) for k in range(1, 40)])
-    gate = safety.init(limits_of(robot.promises, SafetyConfig(stale_after={"joints": 0.1})), 0.0)
+def test_a_double_of_a_robot_is_driven_from_reading_to_writing(capabilities):
+    robot: Hardware = RecordedHardware(capabilities, [readings(k * PERIOD) for k in range(1, 40)])
+    gate = safety.init(limits_of(robot.capabilities, SafetyConfig(stale_after={"joints": 0.1})), 0.0)
     goal = timed_points(np.array([0.0, 0.3]), np.array([[0.0, 0.0], [0.05, 0.02]]), joint_names=NAMES)
     state = joint_trajectory.follow(joint_trajectory.init(JointTrajectoryConfig(), 0.0), goal)
     for _ in range(39):

@@ -17,8 +17,8 @@ CRUISE, TWIST = np.array([0.5, -0.2]), np.array([0.6, 0.0, 0.3])
 
 
 @pytest.fixture
-def config(promises):
-    return limits_of(promises, SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, heartbeat_timeout=0.5))
+def config(capabilities):
+    return limits_of(capabilities, SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, heartbeat_timeout=0.5))
 
 
 class Run:

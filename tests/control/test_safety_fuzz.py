@@ -98,7 +98,7 @@ def driven(rng, config, mode, ticks):
     wish, steps = wishes(rng, v_max, ticks), np.where(np.arange(ticks) % 3, rng.uniform(0.0, HOLD, ticks), 0.008)
     for k, dt in enumerate(steps.tolist()):
         now += dt
-        if state.wish.arm_mode == "velocity":
+        if state.desired.arm_mode == "velocity":
             q = q + v * dt
         came, health = surroundings(rng, now, q, quiet)
         wanted = ("velocity", "position")[(k // 7) % 2] if mode == "either" else mode
@@ -114,9 +114,9 @@ def driven(rng, config, mode, ticks):
 
 
 @pytest.mark.parametrize("mode", ["velocity", "position", "either"])
-def test_whatever_is_commanded_and_whatever_happens_the_whole_gate_keeps_every_limit(rng, promises, mode):
+def test_whatever_is_commanded_and_whatever_happens_the_whole_gate_keeps_every_limit(rng, capabilities, mode):
     sources = {"joints": 0.1, "wheels": 0.1}
-    config = limits_of(promises, SafetyConfig(stale_after=sources, heartbeat_timeout=0.5, divergence_streak=4))
+    config = limits_of(capabilities, SafetyConfig(stale_after=sources, heartbeat_timeout=0.5, divergence_streak=4))
     lower, upper, v_max, a_max = config.arm_arrays
     moved = 0.0
     for _ in range(RUNS):
@@ -130,7 +130,7 @@ def test_whatever_is_commanded_and_whatever_happens_the_whole_gate_keeps_every_l
     assert moved > 0.5  # it was not a gate that is always shut
 
 
-def simulated(rng, promises, config, mode, ticks):
+def simulated(rng, capabilities, config, mode, ticks):
     """Rows of dt, command sent, and where the robot then really was, of a simulated robot whose sensors fail a lot."""
     sensors = SensorConfig(
         wheels=Timing(rate=50.0, dropout=0.05), joints=JointTiming(rate=125.0, dropout=rng.choice([0.0, 0.1]))
@@ -163,11 +163,11 @@ def test_no_command_beyond_a_limit_leaves_the_gate_of_a_simulated_robot(rng, mod
     limits = JointLimits(  # narrower than the robot's own, which would hold it by itself
         home - 0.4, home + 0.4, all_of.velocity[3:], all_of.acceleration[3:], all_of.effort[3:]
     )
-    promises = replace(KinematicRobot(THING).promises, arm_limits=limits)
-    config = limits_of(promises, SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, divergence_streak=4))
+    capabilities = replace(KinematicRobot(THING).capabilities, arm_limits=limits)
+    config = limits_of(capabilities, SafetyConfig(stale_after={"joints": 0.1, "wheels": 0.2}, divergence_streak=4))
     moved, farthest = 0.0, 0.0
     for _ in range(SIMULATED_RUNS // 3):
-        rows = simulated(rng, promises, config, mode, 40)
+        rows = simulated(rng, capabilities, config, mode, 40)
         dt, q = np.array([row[0] for row in rows]), np.array([row[2] for row in rows])
         twist = np.array([row[1].base for row in rows])
         assert np.all(np.abs(twist) <= config.base_arrays[0] + SLACK)

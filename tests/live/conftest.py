@@ -6,7 +6,7 @@ import pytest
 from live_networks import Served
 
 import longreach as lr
-from longreach.live.client import connect
+from longreach.live.client.client import connect
 
 _SERVED = {}  # one for all tests, until one of them ends it
 

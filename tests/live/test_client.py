@@ -14,9 +14,9 @@ from longreach.app.robot_side import Orders
 from longreach.cli.main import main
 from longreach.control.hardware import Hardware
 from longreach.errors import LiveError, PlanningError
-from longreach.live import keys
-from longreach.live.link import open_client
-from longreach.live.serving import tracker_config
+from longreach.live.protocol import topics
+from longreach.live.protocol.transport import open_client
+from longreach.live.server.serving import tracker_config
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, served, t
     robot_side.run(
         body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), thing, np.zeros(3),
         lambda now: Orders(goal=Follow(plan, -0.3) if abs(now - began) < 1e-6 else None),
-        lambda moment: alone.__setitem__(round(moment.tick.stamp, 6), moment.tick),
+        lambda record: alone.__setitem__(round(record.tick.stamp, 6), record.tick),
         lambda: "over" if body.stamp > states[-1].stamp else "", tracker_config(body, thing, scans=False),
     )  # fmt: skip
     assert all(np.allclose(s.q, alone[round(s.stamp, 6)].q, atol=1e-6) for s in states)
@@ -50,7 +50,7 @@ def test_a_plan_through_the_network_is_driven_as_in_one_process(serve, served, t
 
 def test_a_client_has_the_face_of_hardware_and_hears_125_states_a_second(client):
     assert isinstance(client, Hardware)
-    assert client.promises.gripper
+    assert client.capabilities.gripper
     assert client.robot.joint_names == lr.load_robot("thing").joint_names
     stamps = []
     client.read()
@@ -175,7 +175,7 @@ def test_the_topics_stand_in_the_graph_of_ros_2(served):
     session = open_client(served.address, None, None, 2.0)
     tokens = {str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/0/**", timeout=2.0) if reply.ok}
     assert any(token.endswith("/0/NN/%/%/longreach") for token in tokens)
-    _, type, hash = keys.ESTIMATE.key.rsplit("/", 2)
+    _, type, hash = topics.ESTIMATE.key.rsplit("/", 2)
     end = f"/MP/%/%/longreach/%odometry%filtered/{type}/{hash}/::,:,:,:,,"
     assert len([token for token in tokens if token.endswith(end)]) == 1
     session.close()

@@ -5,8 +5,8 @@ import pytest
 
 from longreach.errors import LiveError
 from longreach.geometry import se2, se3
-from longreach.live.frames import Frames, odom_in_map
-from longreach.live.state import LiveState
+from longreach.live.client.state import LiveState
+from longreach.live.protocol.frames import Frames, odom_in_map
 
 
 def _pose(T):

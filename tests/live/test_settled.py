@@ -11,13 +11,13 @@ from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import estimate
 from longreach.app.inputs import open_run
 from longreach.app.tracker import TrackerConfig
-from longreach.control.hardware import Readings, promises_of
+from longreach.control.hardware import Readings, capabilities_of
 from longreach.io.bag_file import open_bag
 from longreach.io.records import planar_pose
 from longreach.io.robots import load_robot
-from longreach.live import keys
-from longreach.live.recorder import recording
-from longreach.live.server import Server, ServerConfig
+from longreach.live.protocol import topics
+from longreach.live.server.recorder import recording
+from longreach.live.server.server import Server, ServerConfig
 from longreach.measurement import Imu, JointState, LaserScan
 
 LOGS = {
@@ -35,7 +35,7 @@ class Played:
     """A robot without an arm that reads a log, whose scans come a little late."""
 
     def __init__(self, robot, log, period):
-        self.promises = promises_of(robot)
+        self.capabilities = capabilities_of(robot)
         arriving = [(r.stamp + 0.04 * isinstance(r, LaserScan), i, r) for i, r in enumerate(readings_of(log))]
         self.stamp, self._waiting, self._period = arriving[0][0], sorted(arriving), period
 
@@ -80,7 +80,7 @@ def test_a_log_through_the_server_settles_the_rows_of_its_estimate(data, tmp_pat
             server.close()
     with open_bag(tmp_path / "said.mcap") as bag:
         settled = {}
-        for _, _, _, message in bag.messages([(keys.SETTLED.name, keys.SETTLED.type)]):
+        for _, _, _, message in bag.messages([(topics.SETTLED.name, topics.SETTLED.type)]):
             stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
             P = np.reshape(message.pose.covariance, (6, 6))[np.ix_([0, 1, 5], [0, 1, 5])]
             pose = message.pose.pose

@@ -1,4 +1,4 @@
-"""Who is not let in: nothing of theirs is accepted, nothing crashes, each refusal is counted and logged."""
+"""Who is not let in: nothing of theirs is accepted, nothing crashes, each rejection is counted and logged."""
 
 import socket
 
@@ -8,19 +8,19 @@ import zenoh
 from live_networks import free_port, until
 
 from longreach.errors import LiveError
-from longreach.live import keys, orders
-from longreach.live.attachment import attach, authentication
-from longreach.live.door import Door, Refusals, Refused
-from longreach.live.keys import TYPES
-from longreach.live.link import open_client, open_server
+from longreach.live.protocol import commands, topics
+from longreach.live.protocol.message_header import pack_header
+from longreach.live.protocol.topics import TYPES
+from longreach.live.protocol.transport import open_client, open_server
+from longreach.live.server.authentication import Authentication, Rejected, RejectionCounts
 
 _TOKEN = "correct horse"
-_STREAMS = (keys.TWIST, keys.JOINTS, keys.TOOL, keys.GRIPPER, keys.HEARTBEAT)
+_STREAMS = (topics.TWIST, topics.JOINTS, topics.TOOL, topics.GRIPPER, topics.HEARTBEAT)
 
 
 class Sample:
-    def __init__(self, payload, attachment):
-        self.payload, self.attachment = payload, attachment
+    def __init__(self, payload, header):
+        self.payload, self.attachment = payload, header
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +53,9 @@ def test_a_message_that_is_not_authentic_is_refused_by_a_robot_with_a_token(guar
     client = to(guarded, _TOKEN)
     before = client.state.refused
     session = open_client(guarded.address, _TOKEN, None, 2.0)
-    payload = keys.TWIST.pack(orders.twist_message(client.state.stamp, np.array([1.0, 0.0, 0.0])))
+    payload = topics.TWIST.pack(commands.twist_message(client.state.stamp, np.array([1.0, 0.0, 0.0])))
     for i in range(10):
-        session.put(keys.TWIST.key, payload, attachment=attach(i, bytes(16)) + bytes(16 * (i % 2)))
+        session.put(topics.TWIST.key, payload, attachment=pack_header(i, bytes(16)) + bytes(16 * (i % 2)))
     until(lambda: client.state.refused >= before + 10)
     assert not client.state.velocity[:3].round(2).any()
     assert "not authentic" in guarded.output
@@ -63,30 +63,30 @@ def test_a_message_that_is_not_authentic_is_refused_by_a_robot_with_a_token(guar
 
 
 def test_a_message_counts_once_and_from_its_server_alone():
-    door = Door(_TOKEN, b"n" * 16, Refusals())
-    payload, topic = keys.ORDER.pack(TYPES["std_msgs/msg/String"]("hold")), keys.ORDER
+    authentication = Authentication(_TOKEN, b"n" * 16, RejectionCounts())
+    payload, topic = topics.ORDER.pack(TYPES["std_msgs/msg/String"]("hold")), topics.ORDER
 
     def signed(number, nonce=b"n" * 16, token=_TOKEN, key=topic.key):
-        attachment = attach(number, b"s" * 16)
-        return Sample(payload, attachment + authentication(token, nonce, key, attachment, payload))
+        header = pack_header(number, b"s" * 16)
+        return Sample(payload, header + authentication(token, nonce, key, header, payload))
 
-    assert door.admit(topic, signed(1))[1].data == "hold"
+    assert authentication.admit(topic, signed(1))[1].data == "hold"
     again = signed(2)
-    door.admit(topic, again)
+    authentication.admit(topic, again)
     for sample, reason in (
         (again, "repeated"),
         (signed(1), "repeated"),
         (signed(3, nonce=b"o" * 16), "not authentic"),
         (signed(3, token="wrong"), "not authentic"),
-        (signed(3, key=keys.EXECUTE.key), "not authentic"),
-        (Sample(payload, attach(3, b"s" * 16)), "not authentic"),
-        (Sample(payload, None), "without an attachment"),
+        (signed(3, key=topics.EXECUTE.key), "not authentic"),
+        (Sample(payload, pack_header(3, b"s" * 16)), "not authentic"),
+        (Sample(payload, None), "without a header"),
         (Sample(None, None), "nothing in it"),
-        (Sample(bytes(5000), attach(3, b"s" * 16)), "too large"),
+        (Sample(bytes(5000), pack_header(3, b"s" * 16)), "too large"),
     ):
-        with pytest.raises(Refused, match=reason):
-            door.admit(topic, sample)
-    door.admit(topic, signed(3))
+        with pytest.raises(Rejected, match=reason):
+            authentication.admit(topic, sample)
+    authentication.admit(topic, signed(3))
 
 
 def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_counted(served, to, rng):
@@ -94,8 +94,8 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
     before, q = client.state.refused, client.state.q
     session = open_client(served.address, None, None, 2.0)
     valid = {
-        keys.TWIST: orders.twist_message(1.0, np.ones(3)),
-        keys.HEARTBEAT: orders.twist_message(1.0, np.ones(3)).header,
+        topics.TWIST: commands.twist_message(1.0, np.ones(3)),
+        topics.HEARTBEAT: commands.twist_message(1.0, np.ones(3)).header,
     }
     publishers = {
         topic: session.declare_publisher(topic.key, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -109,16 +109,16 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
             payload = payload.tobytes()
         else:
             payload = rng.bytes(int(rng.integers(0, 300)))
-        attachment = rng.bytes(33) if i % 3 == 0 else attach(i, b"fuzz" * 4)
-        publishers[topic].put(payload, attachment=attachment)
+        header = rng.bytes(33) if i % 3 == 0 else pack_header(i, b"fuzz" * 4)
+        publishers[topic].put(payload, attachment=header)
     for topic in _STREAMS:
-        publishers[topic].put(bytes(topic.limit + 1), attachment=attach(0, b"fuzz" * 4))
+        publishers[topic].put(bytes(topic.limit + 1), attachment=pack_header(0, b"fuzz" * 4))
     until(lambda: client.state.refused >= before + 10_000 + len(_STREAMS), 20.0)
     assert before + 10_000 + len(_STREAMS) <= client.state.refused < before + 10_100  # others may err, too
     assert np.allclose(client.state.q, q, atol=2e-3)
     assert client.state.stop == ""
     assert client.state.holder == ""
-    for reason in ("malformed", "without an attachment", "too large"):
+    for reason in ("malformed", "without a header", "too large"):
         assert reason in served.output
     client.velocity(base=np.array([0.1, 0.0, 0.0]))  # it still does what it is asked for by whom it should
     until(lambda: client.state.goal == "direct")
@@ -129,11 +129,11 @@ def test_questions_that_are_none_are_answered_with_a_refusal(served, to, rng):
     client = to(served)
     before = client.state.refused
     session = open_client(served.address, None, None, 2.0)
-    for topic in (keys.ORDER, keys.EXECUTE):
-        for payload, attachment in ((rng.bytes(50), attach(1, bytes(16))), (b"", None), (None, None)):
-            answers = list(session.get(topic.key, payload=payload, attachment=attachment, timeout=2.0))
-            assert keys.ORDER.unpack(bytes(answers[0].ok.payload)).data.startswith("refused: ")
-    list(session.get(keys.CLOCK.key, payload=rng.bytes(50), timeout=2.0))
+    for topic in (topics.ORDER, topics.EXECUTE):
+        for payload, header in ((rng.bytes(50), pack_header(1, bytes(16))), (b"", None), (None, None)):
+            answers = list(session.get(topic.key, payload=payload, attachment=header, timeout=2.0))
+            assert topics.ORDER.unpack(bytes(answers[0].ok.payload)).data.startswith("refused: ")
+    list(session.get(topics.CLOCK.key, payload=rng.bytes(50), timeout=2.0))
     until(lambda: client.state.refused >= before + 7)
     session.close()
 
@@ -159,10 +159,10 @@ def test_with_certificates_of_the_server_and_a_token_the_token_lets_in(certifica
 
 
 def test_a_flood_of_refusals_is_told_in_one_line_a_second(caplog):
-    refusals = Refusals()
+    rejections = RejectionCounts()
     for _ in range(1000):
-        refusals.count("malformed", "/cmd_vel")
-    refusals.tell_all()
-    assert refusals.total == 1000
+        rejections.count("malformed", "/cmd_vel")
+    rejections.tell_all()
+    assert rejections.total == 1000
     assert len(caplog.records) == 2
     assert "1000" in caplog.records[-1].getMessage()

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from live_networks import Lossy, Network, until
 
-from longreach.live import link
-
 # Drives the base and says so; lives until it is killed.
 _DRIVER = """
 import sys, time, numpy as np, longreach as lr
@@ -26,7 +24,7 @@ _BUSY = """
 import sys, time, longreach as lr
 client = lr.connect(sys.argv[1], name="the busy one")
 client.take()
-while not (client._line._pulse and client._line._pulse.beat()):
+while not (client._connection._heartbeat and client._connection._heartbeat.beat()):
     time.sleep(0.02)
 print("busy", flush=True)
 began = time.monotonic()
@@ -126,7 +124,7 @@ def test_200_milliseconds_of_delay_are_borne_and_the_offset_of_the_clocks_is_sti
     client = to(network.address, name="far away")
     network.delay = 0.2
     offsets = []
-    for line in (watcher._line, client._line, watcher._line):
+    for line in (watcher._connection, client._connection, watcher._connection):
         line._pings.clear()
         line.ping()
         offsets.append(line.offset)

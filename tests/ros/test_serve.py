@@ -61,7 +61,7 @@ def test_a_stop_holds_a_ros_robot_until_the_reset(client):
 
 
 def test_the_fingers_of_a_ros_robot_close_by_its_gripper_action(client):
-    assert client.promises.gripper
+    assert client.capabilities.gripper
     before = client.state.joints["finger_a_joint_1"]
     client.gripper(0.5)
     until(lambda: client.state.joints["finger_a_joint_1"] - before > 0.2)

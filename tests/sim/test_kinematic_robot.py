@@ -241,7 +241,7 @@ def test_the_gripper_closes_and_says_so():
     found = drive(robot, [{"gripper": GripperCommand("position", 0.6)}] * 40)
     assert found[10].gripper.velocity == pytest.approx(1.0, abs=0.02)
     assert found[-1].gripper.closed == pytest.approx(0.6, abs=1e-3)
-    assert robot.promises.gripper
+    assert robot.capabilities.gripper
 
 
 @pytest.mark.parametrize("parts", [{"base": [np.nan, 0, 0]}, {"arm": [0.0] * 5}, {"arm": [np.inf] * 6}])

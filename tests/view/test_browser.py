@@ -8,9 +8,9 @@ import pytest
 from page_parts import CANVAS, STOP, box, until
 from PIL import Image
 
-from longreach.view.cockpit import Cockpit
 from longreach.view.export import page_html
 from longreach.view.player import Player
+from longreach.view.teleop import Teleop
 
 
 def picture(page, path):
@@ -40,7 +40,7 @@ def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_
 
 
 def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
-    Cockpit(server, pretender, tmp_path)
+    Teleop(server, pretender, tmp_path)
     opened(page, server)
     page.get_by_text("STOP").first.wait_for()
     page.get_by_text("STOP").first.dispatch_event("click")
@@ -54,7 +54,7 @@ BUTTONS = "...document.querySelectorAll('button')"
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1000, 500)], ids=["phone", "desktop"])
 def test_stop_is_on_the_screen_whatever_the_panel_does(page, server, pretender, tmp_path, width, height):
     page.set_viewport_size({"width": width, "height": height})
-    Cockpit(server, pretender, tmp_path)
+    Teleop(server, pretender, tmp_path)
     opened(page, server)
     page.wait_for_function(f"{STOP} && {CANVAS}?.clientHeight > 100")
 
@@ -81,7 +81,7 @@ def test_stop_is_on_the_screen_whatever_the_panel_does(page, server, pretender, 
 
 
 def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, server, pretender, tmp_path):
-    cockpit = Cockpit(server, pretender, tmp_path)
+    teleop = Teleop(server, pretender, tmp_path)
     opened(page, server)
     page.wait_for_function(f"!!{STOP}")
     for field in ("input", "button"):
@@ -89,7 +89,7 @@ def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, ser
         page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
         page.keyboard.press(" ")
         until(lambda: pretender.stopped, page)
-    assert cockpit._session is None
+    assert teleop._session is None
     assert pretender.orders == []
 
 
@@ -98,7 +98,7 @@ def test_a_finger_drives_while_it_is_down_and_stops(browser, server, pretender, 
         viewport={"width": 390, "height": 844}, device_scale_factor=0.5, has_touch=True, is_mobile=True
     )
     page = context.new_page()
-    running(Cockpit(server, pretender, tmp_path).loop)
+    running(Teleop(server, pretender, tmp_path).loop)
     opened(page, server)
     forward = f"[{BUTTONS}].find(b => b.innerText.includes('I') && b.innerText.includes('↑'))"
     page.wait_for_function(f"{STOP} && {forward}")

@@ -9,8 +9,8 @@ from page_parts import CANVAS, STOP, box, until
 
 import longreach as lr
 from longreach.view.bodies import rotation
-from longreach.view.cockpit import Cockpit
 from longreach.view.replay import read_run
+from longreach.view.teleop import Teleop
 
 _GRIP = 0.85  # where on an arrow of the gizmo a hand takes it
 _PIXELS = 70.0  # of the gizmo's arrows
@@ -31,8 +31,8 @@ def client(served):
 
 
 @pytest.fixture
-def cockpit(server, client, running, tmp_path):
-    made = Cockpit(server, client, tmp_path)
+def teleop(server, client, running, tmp_path):
+    made = Teleop(server, client, tmp_path)
     running(made.loop)
     return made
 
@@ -72,7 +72,7 @@ def drag(page, start, way):
     page.mouse.up()
 
 
-def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(page, server, client, cockpit):
+def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(page, server, client, teleop):
     client.plan(client.robot.forward(client.state.q), "task-priority")  # its kernels are loaded
     seen = hand_on(page, server)
     T = client.robot.forward(client.state.q)
@@ -80,11 +80,11 @@ def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(pa
     tips = [seen(T[:3, 3] + _GRIP * _PIXELS * metre * T[:3, i])[0] - middle for i in range(3)]
     axis = int(np.argmax(np.linalg.norm(tips, axis=1)))
     drag(page, middle + tips[axis], 25.0 * tips[axis] / np.linalg.norm(tips[axis]))
-    until(lambda: cockpit.plan is not None, page)
-    moved = T[:3, :3].T @ (cockpit.gizmo.position - T[:3, 3])
+    until(lambda: teleop.plan is not None, page)
+    moved = T[:3, :3].T @ (teleop.gizmo.position - T[:3, 3])
     assert 0.05 < moved[axis] < 1.5
     np.testing.assert_allclose(np.delete(moved, axis), 0.0, atol=0.01)  # along the arrow that was taken
-    goal = np.array(cockpit.gizmo.position)
+    goal = np.array(teleop.gizmo.position)
     assert np.linalg.norm(client.robot.forward(client.state.q)[:3, 3] - T[:3, 3]) < 0.002  # nothing moves yet
     press(page, "Run the plan")
     until(lambda: client.state.goal == "follow", page)
@@ -93,11 +93,11 @@ def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(pa
     assert page.errors == []
 
 
-def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, client, cockpit, tmp_path):
+def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, client, teleop, tmp_path):
     hand_on(page, server)
     before = client.state.q[:3].copy()
     press(page, "Record")
-    until(lambda: cockpit._session is not None, page)
+    until(lambda: teleop._session is not None, page)
     until(lambda: page.keyboard.press("i") or np.linalg.norm(client.state.q[:2] - before[:2]) > 0.05, page)
     began = time.monotonic()
     left, top, *_ = box(page, STOP)
@@ -105,9 +105,9 @@ def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, clien
     until(lambda: client.state.latched, page)
     assert time.monotonic() - began < 20.0  # a browser without a graphics card is slow to see a mouse
     press(page, "Stop recording")
-    until(lambda: list(tmp_path.glob("session-*.mcap")) and cockpit._session is None, page)
+    until(lambda: list(tmp_path.glob("session-*.mcap")) and teleop._session is None, page)
     (written,) = tmp_path.glob("session-*.mcap")
     run = read_run(written, "thing")
-    way = run.moments[-1].wheels - run.moments[0].wheels
+    way = run.frames[-1].wheels - run.frames[0].wheels
     assert 0.03 < np.linalg.norm(way[:2]) < 5.0
     assert page.errors == []

@@ -9,7 +9,7 @@ from longreach.view.replay import read_run
 
 
 def test_the_robot_stands_where_estimate_and_joints_say(drive):
-    middle = drive.moments[drive.index(1.0)]
+    middle = drive.frames[drive.index(1.0)]
     np.testing.assert_allclose(middle.q[:3], [0.5, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(middle.q[3], 0.1, atol=1e-9)
     np.testing.assert_allclose(middle.wheels, [0.5, 0.05, 0.0], atol=1e-9)
@@ -23,8 +23,8 @@ def test_a_wall_is_one_row_of_map_points_that_are_known_when_they_were_seen(driv
 
 def test_a_scan_stands_where_the_base_was_when_it_was_taken(drive):
     for time in (0.43, 1.0, 1.99):
-        moment = drive.moments[drive.index(time)]
-        x = moment.scan_pose[0] + moment.scan[:, 0]
+        frame = drive.frames[drive.index(time)]
+        x = frame.scan_pose[0] + frame.scan[:, 0]
         np.testing.assert_allclose(x, 0.3932 + 2.0, atol=0.01)  # the wall, through the laser's mount
 
 
@@ -36,7 +36,7 @@ def test_the_plots_tell_the_error_in_millimetres(drive):
 
 def test_a_time_before_the_start_or_after_the_end_shows_the_first_or_last_moment(drive):
     assert drive.index(-1.0) == 0
-    assert drive.index(99.0) == len(drive.moments) - 1
+    assert drive.index(99.0) == len(drive.frames) - 1
 
 
 def test_what_is_not_there_is_said_in_a_sentence(tmp_path):

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from longreach.view.cockpit import Cockpit
 from longreach.view.scene import Follower, Scene
+from longreach.view.teleop import Teleop
 from longreach.view.trails import GrowingMap, Trail
 
 
@@ -68,12 +68,12 @@ def test_a_camera_that_follows_moves_as_the_base_does_and_another_stays():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_an_error_is_plotted_only_where_the_truth_is_known(server, pretender, tmp_path, known):
-    cockpit = Cockpit(server, pretender, tmp_path)
+    teleop = Teleop(server, pretender, tmp_path)
     state = vars(pretender.state)
     for i in range(5):
         truth = state["truth"] + [0.003, 0.004, 0.0] if known else None
-        cockpit._plots.take(SimpleNamespace(**state | {"stamp": float(i), "truth": truth}), show=True)
-    error, tool, deviation = (cockpit._plots._plots[i].handles[1] for i in range(3))
+        teleop._plots.take(SimpleNamespace(**state | {"stamp": float(i), "truth": truth}), show=True)
+    error, tool, deviation = (teleop._plots._plots[i].handles[1] for i in range(3))
     assert (error.visible, tool.visible, deviation.visible) == (known, False, True)
     if known:
         np.testing.assert_allclose(error.data[1], 5.0, atol=1e-9)

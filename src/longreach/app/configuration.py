@@ -17,7 +17,7 @@ class EvaluationConfig(BaseModel):
     )
     distances: tuple[float, ...] = Field(default=(1.0, 5.0), description="Lengths of RPE over distance [m].")
     times: tuple[float, ...] = Field(default=(1.0, 10.0), description="Spans of RPE over time [s].")
-    relations_span: float = Field(default=5.0, gt=0, description="Relations up to this span are told apart [s].")
+    relations_span: float = Field(default=5.0, gt=0, description="Relations up to this span are grouped [s].")
     longest_gap: float = Field(
         default=1.0, gt=0, description="Between two rows that interpolation may bridge [s]; a lost scan or two."
     )

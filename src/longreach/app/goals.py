@@ -17,8 +17,8 @@ class Hold(NamedTuple):
     """Stand."""
 
 
-class Direct(NamedTuple):
-    """Do what somebody sends from moment to moment; what is too old is the safety gate's to see.
+class VelocityGoal(NamedTuple):
+    """Do what somebody sends in a stream; what is too old is the safety gate's to see.
 
     command: what has come since the last tick, or None; stamp: of the newest [s].
     """
@@ -27,7 +27,7 @@ class Direct(NamedTuple):
     stamp: float
 
 
-class Reach(NamedTuple):
+class ServoGoal(NamedTuple):
     """Let the arm pull the tool to T_map_tool (4, 4), while the base stands."""
 
     tool: Float[np.ndarray, "4 4"]
@@ -45,23 +45,23 @@ class Follow(NamedTuple):
         return min(max(self.at / self.plan.duration, 0.0), 1.0) if self.plan.duration else float(self.at >= 0.0)
 
 
-Goal = Hold | Direct | Reach | Follow
+Goal = Hold | VelocityGoal | ServoGoal | Follow
 
 
-def wished(
+def desired_command(
     goal: Goal, robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], now: float
 ) -> tuple[Command | None, Float[np.ndarray, " n"]]:
     """Return what to command where the robot is at q (n,), and where it should be (n,), both base first.
 
     The answer is for the safety gate. None: nothing new, what was commanded last goes on for its time.
     """
-    if isinstance(goal, Direct):
+    if isinstance(goal, VelocityGoal):
         return goal.command, q
     if isinstance(goal, Follow):
         q_reference, velocity, _ = sample(goal.plan, float(goal.plan.stamps[0]) + goal.at)
-        wish = whole_body.step(robot, config, q, whole_body.Reference(q_reference, velocity))
+        desired = whole_body.step(robot, config, q, whole_body.Reference(q_reference, velocity))
     else:
-        standing = whole_body.Wish(np.zeros(len(q) - robot.base.stop), np.zeros(3))
-        wish = standing if isinstance(goal, Hold) else whole_body.reach(robot, config, q, goal.tool)
+        standing = whole_body.DesiredVelocity(np.zeros(len(q) - robot.base.stop), np.zeros(3))
+        desired = standing if isinstance(goal, Hold) else whole_body.reach(robot, config, q, goal.tool)
         q_reference = q
-    return Command(now, wish.arm, "velocity", None if robot.description.bolted else wish.base), q_reference
+    return Command(now, desired.arm, "velocity", None if robot.description.bolted else desired.base), q_reference

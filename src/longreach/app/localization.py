@@ -104,7 +104,7 @@ def _metrics(config: LocalizationConfig, seed: int) -> Metrics:
 
 
 def _compared(metrics: Metrics) -> Metrics:
-    """Return what is told of many seeds."""
+    """Return the summary of many seeds."""
     return {who: {name: named[name] for name in _COMPARED if name in named} for who, named in metrics.items()}
 
 

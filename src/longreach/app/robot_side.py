@@ -1,7 +1,7 @@
 """The robot's side of a system that others command: `tracker`'s loop around whatever is asked for from outside.
 
 All that is critical in time happens here. Commands and plans come as `Orders`, from wherever; what the loop knew and
-did goes out as a `Moment`, to whomever. There is no network in here.
+did goes out as a `TickRecord`, to whomever. There is no network in here.
 """
 
 import time
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.app import tracker
-from longreach.app.goals import Direct, Follow, Goal, Hold
+from longreach.app.goals import Follow, Goal, Hold, VelocityGoal
 from longreach.app.tracker import Tick, TrackerConfig, TrackerState
 from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
@@ -39,7 +39,7 @@ class Orders(NamedTuple):
     heartbeat: float | None = None
 
 
-class Moment(NamedTuple):
+class TickRecord(NamedTuple):
     """What one tick knew and did; loop_time [s]: what the tick took."""
 
     tick: Tick
@@ -70,7 +70,7 @@ def _carried_on(state: TrackerState, orders: Orders, now: float) -> Goal:
     goal = state.goal
     if orders.heartbeat is not None and now - orders.heartbeat > _FORGOTTEN:
         return Hold()
-    if isinstance(goal, Direct):
+    if isinstance(goal, VelocityGoal):
         fresh = now - goal.stamp <= state.config.safety.command_timeout
         return goal._replace(command=None) if fresh else Hold()
     return Hold() if state.ended and _arrived(state, goal, now) else goal
@@ -90,7 +90,7 @@ def run(
     robot: MobileManipulator,
     base: Float[np.ndarray, "3"],
     take: Callable[[float], Orders],
-    publish: Callable[[Moment], None],
+    publish: Callable[[TickRecord], None],
     ended: Callable[[], str],
     config: TrackerConfig | None = None,
 ) -> Ticker:
@@ -107,7 +107,7 @@ def run(
         ControlError: the robot does not say where its arm is.
     """
     state, _ = tracker.begin(hardware, wait_until, robot, Hold(), base, config or TrackerConfig())
-    rhythm, reason = ticker.init(1.0 / hardware.promises.arm_rate, state.stamp), "interrupted"
+    rhythm, reason = ticker.init(1.0 / hardware.capabilities.arm_rate, state.stamp), "interrupted"
     try:
         while not (over := ended()):
             wait_until(rhythm.due)
@@ -117,7 +117,7 @@ def run(
             hardware.write(command)
             took = time.perf_counter() - began
             rhythm = replace(rhythm, busy=ticker.counted(rhythm.busy, took))
-            publish(Moment(tick, readings, state, took))
+            publish(TickRecord(tick, readings, state, took))
         reason = over
     finally:
         hardware.stop(reason)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EstimateConfig
-from longreach.app.goals import Follow, Goal, wished
+from longreach.app.goals import Follow, Goal, desired_command
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
@@ -95,13 +95,13 @@ def init(
     Raises:
         ControlError: a plan is of other joints than the robot's, or does not begin near q.
     """
-    config, promises = config or TrackerConfig(), hardware.promises
+    config, capabilities = config or TrackerConfig(), hardware.capabilities
     if isinstance(goal, Follow):
         check_plan(robot, goal.plan, q, config)
-    gate = safety.init(limits_of(promises, config.safety), now, q[robot.arm])
+    gate = safety.init(limits_of(capabilities, config.safety), now, q[robot.arm])
     pose = q[robot.base] if robot.base.stop else np.zeros(3)
     where = localizer.init(robot.description, config.estimate, pose)
-    return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / promises.base_rate, now)
+    return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / capabilities.base_rate, now)
 
 
 def check_plan(
@@ -120,7 +120,7 @@ def step(
 ) -> tuple[TrackerState, Command, Tick]:
     """Return what may be sent at `readings.stamp`, and what it was made of.
 
-    heartbeat: when the client was heard [s]; gripper: a new wish for the fingers.
+    heartbeat: when the client was heard [s]; gripper: a new command for the fingers.
     """
     now, robot, config, goal = readings.stamp, state.robot, state.config, state.goal
     where, estimated = localizer.step(state.localizer, sensed(readings))  # estimate
@@ -130,12 +130,12 @@ def step(
 
     if isinstance(goal, Follow) and state.gate.stop is None:  # the plan's clock stands while the robot is stopped
         goal = goal._replace(at=goal.at + (now - state.stamp))
-    wish, q_reference = wished(goal, robot, config.whole_body, q, now)  # sample the plan, correct
+    desired, q_reference = desired_command(goal, robot, config.whole_body, q, now)  # sample the plan, correct
     if gripper is not None:
-        wish = Command(now, gripper=gripper) if wish is None else replace(wish, gripper=gripper)
+        desired = Command(now, gripper=gripper) if desired is None else replace(desired, gripper=gripper)
 
     health = Health(tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused"), heartbeat)
-    gate, command = safety.step(state.gate, wish, readings, health, now)  # guard
+    gate, command = safety.step(state.gate, desired, readings, health, now)  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
@@ -166,7 +166,7 @@ def _arm(state: TrackerState, readings: Readings) -> np.ndarray:
 
 
 def _innovation(correction: Correction) -> Innovation:
-    """Return what the gate is told of a correction; what was refused is as far off as can be."""
+    """Return what the gate knows of a correction; what was refused is as far off as can be."""
     if correction.status == "refused":
         return Innovation(correction.source, math.inf, 1)
     return Innovation(correction.source, correction.nis, correction.dof)
@@ -211,7 +211,7 @@ def run(
     config = config or TrackerConfig()
     state, kept = begin(hardware, wait_until, robot, Follow(plan, -config.before), base, config)
     now = state.stamp
-    rhythm = ticker.init(1.0 / hardware.promises.arm_rate, now)
+    rhythm = ticker.init(1.0 / hardware.capabilities.arm_rate, now)
     ticks: list[Tick] = []
     rows: list[Row] = []
     reason = "interrupted"
@@ -267,5 +267,5 @@ def _first_readings(
             raise ControlError(
                 f"The robot has not said in {_WAIT_FOR_JOINTS:g} s where its arm is: {', '.join(names)}."
             )
-        wait_until(kept[-1].stamp + 1.0 / hardware.promises.arm_rate)
+        wait_until(kept[-1].stamp + 1.0 / hardware.capabilities.arm_rate)
         kept.append(hardware.read())

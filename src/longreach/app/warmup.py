@@ -145,7 +145,7 @@ def _control() -> None:
 
     thing = load_robot("thing")
     robot = KinematicRobot(thing)
-    gate = safety.init(safety_config.limits_of(robot.promises), 0.0, thing.home[thing.arm])
+    gate = safety.init(safety_config.limits_of(robot.capabilities), 0.0, thing.home[thing.arm])
     base = base_velocity.init(base_velocity.BaseVelocityConfig(), 0.0)
     two = ConfigurationTrajectory(np.array([0.0, 1.0]), np.stack([thing.home, thing.home]))
     for mode in ("velocity", "position", "velocity"):

@@ -26,12 +26,12 @@ def command(
     import numpy as np
 
     from longreach.cli.watching import watched
-    from longreach.live.client import connect
-    from longreach.live.promptness import prompt
+    from longreach.live.client.client import connect
+    from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.planning.planner import check_method
 
     check_method(method)
-    prompt()
+    apply_realtime_settings()
     with connect(address, token, certificates=certificates) as client:
         if stop:
             client.stop()

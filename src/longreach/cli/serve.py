@@ -31,29 +31,28 @@ def command(
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.io.robots import load_robot
-    from longreach.live.describing import described
-    from longreach.live.door import Refusals
-    from longreach.live.promptness import prompt
-    from longreach.live.refused_links import counted
-    from longreach.live.server import ServerConfig
-    from longreach.live.serving import rehearse, serve
+    from longreach.live.realtime_settings import apply_realtime_settings
+    from longreach.live.server.authentication import RejectionCounts
+    from longreach.live.server.rejected_connections import counted
+    from longreach.live.server.server import ServerConfig
+    from longreach.live.server.serving import described, rehearse, serve
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
-    loaded, config, refusals = load_robot(robot), ServerConfig(address, token, certificates), Refusals()
+    loaded, config, rejections = load_robot(robot), ServerConfig(address, token, certificates), RejectionCounts()
     with shown_progress() as progress:
         kind = hardware if hardware in SIMULATED else "kinematic"
         warm_up(progress, "estimation", "scans", "physics" if kind == "sim" else kind)
         progress("rehearsing", 0.0)
         rehearse(loaded, kind)
     body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
-    prompt()
+    apply_realtime_settings()
 
-    with counted(refusals):
+    with counted(rejections):
         rhythm = serve(
             body, wait_until, loaded, described(robot), config, _ended(duration),
-            record=record, scans=scans, refusals=refusals, ready=lambda _: _say_ready(loaded.name, address),
+            record=record, scans=scans, rejections=rejections, ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
-    _say_how_it_was(rhythm, refusals)
+    _say_how_it_was(rhythm, rejections)
     if record is not None:
         typer.echo(f"The recording is {record}.")
 
@@ -65,10 +64,10 @@ def _say_ready(name: str, address: str) -> None:
     sys.stdout.flush()
 
 
-def _say_how_it_was(rhythm: Any, refusals: Any) -> None:
+def _say_how_it_was(rhythm: Any, rejections: Any) -> None:
     median, longest = (1e3 * rhythm.busy.percentile(p) for p in (50, 99))
     typer.echo(f"{rhythm.ticks} ticks; one took {median:.1f} ms, {longest:.1f} ms at the 99th percentile.")
-    for why, count in sorted(refusals.counts.items()):
+    for why, count in sorted(rejections.counts.items()):
         typer.echo(f"Refused {count}: {why}.")
 
 
@@ -85,17 +84,17 @@ def _hardware(kind: str, robot: Any, world: str, seed: int, scans: bool) -> tupl
 
 
 def _ended(duration: float | None) -> Callable[[], str]:
-    """Return what tells why it shall end: the time is over, or the process was told to."""
+    """Return what says why it shall end: the time is over, or the process was signalled."""
     import signal
     import time
 
-    began, told = time.monotonic(), []
+    began, signalled = time.monotonic(), []
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: told.append("The server was told to end."))
+        signal.signal(number, lambda *_: signalled.append("The server was asked to end."))
 
     def ended() -> str:
-        if told:
-            return told[0]
+        if signalled:
+            return signalled[0]
         return "The time is over." if duration is not None and time.monotonic() - began > duration else ""
 
     return ended

@@ -85,15 +85,15 @@ def _show_robot(
 
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
-    from longreach.live.client import connect
-    from longreach.live.promptness import prompt
-    from longreach.view.cockpit import Cockpit
+    from longreach.live.client.client import connect
+    from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.view.page import open_page
+    from longreach.view.teleop import Teleop
 
     with shown_progress() as progress:
         warm_up(progress, "kinematics")
-    prompt()
+    apply_realtime_settings()
     with connect(address, token, certificates=certificates, name="page") as client:
         server = open_page(port=port)
         ready = partial(warm_up, None, "task priority")  # the robot is seen and driven meanwhile
-        _serve(server, Cockpit(server, client, prepare=ready).loop, browser, duration)
+        _serve(server, Teleop(server, client, prepare=ready).loop, browser, duration)

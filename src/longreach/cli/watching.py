@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from longreach.errors import ConfigError
-from longreach.live.client import Client
+from longreach.live.client.client import Client
 
 _EVERY = 0.2  # [s]
 

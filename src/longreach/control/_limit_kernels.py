@@ -33,18 +33,19 @@ def _span(i, before, dt, hold, v_max, a_max, below, above):
 
 
 @kernel
-def limit(wish, before, dt, hold, v_max, a_max, below, above, out):
-    """out (n,): the velocity in the wish's direction, or as near to it as can be; True where it is not the wish itself.
+def limit(desired, before, dt, hold, v_max, a_max, below, above, out):
+    """out (n,): the velocity in the desired direction, or as near to it as can be; True where it is another one.
 
-    The largest part of the wish that all joints can do now. Where there is none, for they still move otherwise, the
-    way from the velocity before towards the wish, as far as the accelerations allow, and each joint clamped by itself.
+    The largest part of the desired velocity that all joints can do now. Where there is none, for they still move
+    otherwise, the way from the velocity before towards the desired one, as far as the accelerations allow, and each
+    joint clamped by itself.
     below, above (n,): room to the position limits; hold: for how long a velocity may last.
     """
-    n = len(wish)
+    n = len(desired)
     least, most, within = 0.0, 1.0, 1.0
     for i in range(n):
         low, high = _span(i, before, dt, hold, v_max, a_max, below, above)
-        w = wish[i]
+        w = desired[i]
         if w == 0.0:
             if low > 0.0 or high < 0.0:
                 least = math.inf
@@ -57,15 +58,15 @@ def limit(wish, before, dt, hold, v_max, a_max, below, above, out):
     part = 1.0
     if least > most:
         for i in range(n):
-            change = abs(within * wish[i] - before[i])
+            change = abs(within * desired[i] - before[i])
             if change > a_max[i] * dt:
                 part = min(part, a_max[i] * dt / change)
     changed = False
     for i in range(n):
         low, high = _span(i, before, dt, hold, v_max, a_max, below, above)
-        v = most * wish[i] if least <= most else before[i] + part * (within * wish[i] - before[i])
+        v = most * desired[i] if least <= most else before[i] + part * (within * desired[i] - before[i])
         out[i] = min(max(v, low), high)
-        changed = changed or abs(out[i] - wish[i]) > 1e-12
+        changed = changed or abs(out[i] - desired[i]) > 1e-12
     return changed
 
 

@@ -34,13 +34,13 @@ class BaseVelocityConfig(BaseModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseVelocityState:
-    """The twist sent last, the one that was wished for last, and when [s]."""
+    """The twist sent last, the one that was desired last, and when [s]."""
 
     config: BaseVelocityConfig
     stamp: float
     twist: Float[np.ndarray, "3"]
-    wish: Float[np.ndarray, "3"]
-    wish_stamp: float
+    desired: Float[np.ndarray, "3"]
+    desired_stamp: float
     limited: bool = False
 
 
@@ -50,18 +50,18 @@ def init(config: BaseVelocityConfig, now: float) -> BaseVelocityState:
 
 
 def step(
-    state: BaseVelocityState, wish: Float[np.ndarray, "3"] | None, now: float
+    state: BaseVelocityState, desired: Float[np.ndarray, "3"] | None, now: float
 ) -> tuple[BaseVelocityState, Float[np.ndarray, "3"]]:
-    """Return the twist (3,) to send at `now` [s] for the one wished for.
+    """Return the twist (3,) to send at `now` [s] for the desired one.
 
-    The direction of the wish is kept where its size is not. None, or numbers that are not finite: the last wish goes
+    The direction of the desired one is kept where its size is not. None, or numbers that are not finite: the last goes
     on until it times out, and the base ramps down.
     """
     config = state.config
     dt = min(max(now - state.stamp, 0.0), config.command_timeout)
-    target, since = state.wish, state.wish_stamp
-    if wish is not None and np.isfinite(wish).all():
-        target, since = np.array(wish, dtype=float), now
+    target, since = state.desired, state.desired_stamp
+    if desired is not None and np.isfinite(desired).all():
+        target, since = np.array(desired, dtype=float), now
     if now - since > config.command_timeout:
         target = np.zeros(3)
     twist = np.empty(3)

@@ -28,21 +28,21 @@ class GripperConfig(BaseModel):
 
 
 class GripperInput(NamedTuple):
-    """The newest state of the fingers and a new wish, either of which may be None."""
+    """The newest state of the fingers and a new command, either of which may be None."""
 
     fingers: GripperState | None = None
-    wish: GripperCommand | None = None
+    command: GripperCommand | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class GripperControl:
-    """What is wished for, since when the fingers stand [s], how it goes, and the sentence about it."""
+    """What is commanded, since when the fingers stand [s], how it goes, and the sentence about it."""
 
     config: GripperConfig
     goal: GripperCommand | None = None
     standing_since: float = 0.0
     status: Status = "idle"
-    reason: str = "The gripper was told nothing yet."
+    reason: str = "The gripper has had no command yet."
 
 
 def init(config: GripperConfig, now: float) -> GripperControl:
@@ -51,14 +51,14 @@ def init(config: GripperConfig, now: float) -> GripperControl:
 
 
 def step(state: GripperControl, given: GripperInput, now: float) -> tuple[GripperControl, GripperCommand | None]:
-    """Return the command to send at `now` [s] (None: nothing was ever wished for), and how it goes in the new state.
+    """Return the command to send at `now` [s] (None: nothing was ever commanded), and how it goes in the new state.
 
     Raises:
-        ControlError: a wish that is not a finite number.
+        ControlError: a command that is not a finite number.
     """
     config = state.config
-    if given.wish is not None:
-        goal = _within(config, given.wish)
+    if given.command is not None:
+        goal = _within(config, given.command)
         if goal != state.goal:
             state = replace(state, goal=goal, standing_since=now, status="moving", reason="The fingers are moving.")
     fingers, goal = given.fingers, state.goal
@@ -70,15 +70,15 @@ def step(state: GripperControl, given: GripperInput, now: float) -> tuple[Grippe
     return replace(state, status=status, reason=reason), goal
 
 
-def _within(config: GripperConfig, wish: GripperCommand) -> GripperCommand:
-    if not -1e9 < wish.value < 1e9:
-        raise ControlError(f"The gripper's {wish.mode} is {wish.value}; give it a finite number.")
+def _within(config: GripperConfig, command: GripperCommand) -> GripperCommand:
+    if not -1e9 < command.value < 1e9:
+        raise ControlError(f"The gripper's {command.mode} is {command.value}; give it a finite number.")
     low, high = {
         "position": (0.0, 1.0),
         "velocity": (-config.velocity, config.velocity),
         "force": (-config.force, config.force),
-    }[wish.mode]
-    return GripperCommand(wish.mode, min(max(wish.value, low), high))
+    }[command.mode]
+    return GripperCommand(command.mode, min(max(command.value, low), high))
 
 
 def _judged(state: GripperControl, goal: GripperCommand, fingers: GripperState, standing: float) -> tuple[Status, str]:

@@ -4,19 +4,19 @@ A driver for a robot of your own is one class with the five members of `Hardware
 
     class MyRobot:
         def __init__(self, address):
-            self.promises = promises_of(load_robot("mine"))
+            self.capabilities = capabilities_of(load_robot("mine"))
 
         def read(self):               # never waits: what has arrived since the last call, possibly nothing
             return Readings(stamp=now, joints=..., wheels=..., scans=...)
 
         def write(self, command):     # at most once a tick; the newest command holds
-            ...                       # None in a command: that part goes on as it is, up to `promises.timeout`
+            ...                       # None in a command: that part goes on as it is, up to `capabilities.timeout`
 
         def stop(self, reason):       # at once, by the robot's own means; may be called twice
             ...
 
 `stamp`s are seconds on one clock of the robot's, that of `read`; a simulation's is simulated time. What a driver must
-do by itself: bring the robot to rest when no command came for `promises.timeout`, and when its process ends.
+do by itself: bring the robot to rest when no command came for `capabilities.timeout`, and when its process ends.
 The double in the tests, `RecordedHardware`, is the shortest one that works.
 """
 
@@ -35,7 +35,7 @@ ArmMode = Literal["velocity", "position"]
 
 @dataclass(frozen=True)
 class GripperCommand:
-    """One wish for the fingers: closed 0 to 1, closing velocity [1/s], or closing force at the tips [N]."""
+    """One command for the fingers: closed 0 to 1, closing velocity [1/s], or closing force at the tips [N]."""
 
     mode: Literal["position", "velocity", "force"]
     value: float
@@ -83,7 +83,7 @@ class Command:
 
 
 @dataclass(frozen=True, eq=False)
-class Promises:
+class Capabilities:
     """What a robot can do and keeps to: its arm's joints and their limits, its base's, the rates it takes commands at.
 
     arm_limits: each (n,), in the order of `arm_names`. base_velocity, base_acceleration (3,): of [v_x, v_y, ω]; None
@@ -102,14 +102,14 @@ class Promises:
     gripper: bool = False
 
 
-def promises_of(robot: MobileManipulator, timeout: float = 0.25, gripper: bool = False) -> Promises:
+def capabilities_of(robot: MobileManipulator, timeout: float = 0.25, gripper: bool = False) -> Capabilities:
     """Return what a robot can do as its description says; timeout [s]: without a command it comes to rest."""
     description, limits = robot.description, robot.limits
     arm = JointLimits(**{f.name: getattr(limits, f.name)[robot.arm] for f in fields(JointLimits)})
     fast = hard = None
     if not description.bolted:
         fast, hard = np.array(description.velocity_limits), np.array(description.acceleration_limits)
-    return Promises(robot.joint_names[robot.arm], arm, fast, hard, timeout=timeout, gripper=gripper)
+    return Capabilities(robot.joint_names[robot.arm], arm, fast, hard, timeout=timeout, gripper=gripper)
 
 
 @runtime_checkable
@@ -117,7 +117,7 @@ class Hardware(Protocol):
     """A robot that can be driven; the module's text is the template of a driver."""
 
     @property
-    def promises(self) -> Promises:
+    def capabilities(self) -> Capabilities:
         """What the robot can do."""
         ...
 

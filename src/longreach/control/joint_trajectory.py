@@ -57,7 +57,7 @@ class JointInput(NamedTuple):
 
 
 class JointOutput(NamedTuple):
-    """What the joints are told (n,), as `mode` says, where they should be and by how much they are not (n,) [rad]."""
+    """The joints' commands (n,), as `mode` says, where they should be and by how much they are not (n,) [rad]."""
 
     arm: Float[np.ndarray, " n"]
     mode: ArmMode

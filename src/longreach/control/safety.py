@@ -16,11 +16,22 @@ from jaxtyping import Float
 
 from longreach.control import _limit_kernels
 from longreach.control.hardware import ArmMode, Command, Readings
-from longreach.control.safety_checks import Health, Stop, Watch, fault, finite, grave, passing, places, watch, within
+from longreach.control.safety_checks import (
+    Health,
+    Stop,
+    Watch,
+    fault,
+    finite,
+    latching_stop,
+    places,
+    transient_stop,
+    watch,
+    within,
+)
 from longreach.control.safety_config import SafetyConfig
 
 
-class Wish(NamedTuple):
+class DesiredVelocity(NamedTuple):
     """What was commanded last, and when; in position mode `arm` is a position, otherwise a velocity."""
 
     arm: np.ndarray
@@ -32,7 +43,7 @@ class Wish(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SafetyState:
-    """The gate's memory; `stop` says whether and why it stops the robot, `limited` whether it held back a wish.
+    """The gate's memory; `stop` says whether and why it stops the robot, `limited` whether it held back a command.
 
     q (n,): where the arm is [rad], None until known; velocity (n,), twist (3,): what was sent last.
     """
@@ -42,7 +53,7 @@ class SafetyState:
     q: np.ndarray | None
     velocity: np.ndarray
     twist: np.ndarray
-    wish: Wish
+    desired: DesiredVelocity
     watch: Watch
     stop: Stop | None = None
     limited: bool = False
@@ -54,8 +65,8 @@ def init(config: SafetyConfig, now: float, q: Float[np.ndarray, " n"] | None = N
     zero, twist = np.zeros(joints), np.zeros(3)
     if joints == 0:
         q = zero
-    wish = Wish(zero, twist, now, now)
-    return SafetyState(config, now, None if q is None else np.array(q), zero, twist, wish, Watch(now, {}, {}))
+    desired = DesiredVelocity(zero, twist, now, now)
+    return SafetyState(config, now, None if q is None else np.array(q), zero, twist, desired, Watch(now, {}, {}))
 
 
 def reset(state: SafetyState) -> SafetyState:
@@ -71,32 +82,35 @@ def step(
     seen = watch(state.watch, config, readings, health)
     elapsed = min(dt, config.command_timeout) if dt > 0.0 else 0.0  # 0 also where the clock gave no number
     q = _place(state, readings, elapsed, now)
-    wish, stop = state.wish, grave(config, seen, readings, now) or passing(config, seen, health, dt, now)
+    desired, stop = (
+        state.desired,
+        latching_stop(config, seen, readings, now) or transient_stop(config, seen, health, dt, now),
+    )
     if state.stop is not None and state.stop.latched:
         stop = state.stop
     if stop is None:
-        wish, stop = _taken(config, wish, command, q, now)
+        desired, stop = _taken(config, desired, command, q, now)
     if stop is not None and state.stop is not None and state.stop.cause == stop.cause:
         stop = stop._replace(since=state.stop.since)
     # A position is reached within the arm's period, however long this tick was: a step is no longer than that allows.
-    arm_dt = min(elapsed, config.arm.period) if config.arm is not None and wish.arm_mode == "position" else elapsed
-    velocity, twist, limited = _moved(state, wish, q, stop is not None, arm_dt, elapsed)
+    arm_dt = min(elapsed, config.arm.period) if config.arm is not None and desired.arm_mode == "position" else elapsed
+    velocity, twist, limited = _moved(state, desired, q, stop is not None, arm_dt, elapsed)
     arm: np.ndarray | None = velocity
-    if wish.arm_mode == "position":
+    if desired.arm_mode == "position":
         q = arm = None if q is None else _not_beyond(config, q, q + velocity * arm_dt)
     if stop is not None:
-        at_rest = arm if wish.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
-        wish = wish._replace(arm=at_rest, base=np.zeros(3))
+        at_rest = arm if desired.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
+        desired = desired._replace(arm=at_rest, base=np.zeros(3))
     gripper = within(config, command.gripper) if command is not None and stop is None else None
     stamp = now if math.isfinite(now) else state.stamp
     out = Command(
         stamp,
         None if config.arm is None else arm,
-        wish.arm_mode,
+        desired.arm_mode,
         None if config.base is None else twist,
         gripper,
     )
-    return SafetyState(config, stamp, q, velocity, twist, wish, seen, stop, limited), out
+    return SafetyState(config, stamp, q, velocity, twist, desired, seen, stop, limited), out
 
 
 def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.ndarray | None:
@@ -105,7 +119,7 @@ def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.
     arm = config.arm
     if arm is None:
         return q
-    if q is not None and state.wish.arm_mode == "position":
+    if q is not None and state.desired.arm_mode == "position":
         return q
     for record in reversed(readings.joints):
         where = places(record.names, arm.names)
@@ -123,51 +137,51 @@ def _not_beyond(config: SafetyConfig, q: np.ndarray, then: np.ndarray) -> np.nda
 
 
 def _taken(
-    config: SafetyConfig, wish: Wish, command: Command | None, q: np.ndarray | None, now: float
-) -> tuple[Wish, Stop | None]:
-    """The wish with the new command in it, less what is too old, or the stop for which it cannot be."""
+    config: SafetyConfig, desired: DesiredVelocity, command: Command | None, q: np.ndarray | None, now: float
+) -> tuple[DesiredVelocity, Stop | None]:
+    """The desired velocity with the new command in it, less what is too old, or the stop for which it cannot be."""
     reason = "" if command is None else fault(config, command, q)
     if reason:
-        return wish, Stop("bad command", reason, now)
+        return desired, Stop("bad command", reason, now)
     if command is not None:
         stamp = min(command.stamp, now)
-        if command.base is not None and not stamp < wish.base_stamp <= now:  # it was not overtaken by a newer one
-            wish = wish._replace(base=np.array(command.base), base_stamp=stamp)
-        if command.arm is not None and q is not None and not stamp < wish.arm_stamp <= now:
-            wish = wish._replace(arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
+        if command.base is not None and not stamp < desired.base_stamp <= now:  # it was not overtaken by a newer one
+            desired = desired._replace(base=np.array(command.base), base_stamp=stamp)
+        if command.arm is not None and q is not None and not stamp < desired.arm_stamp <= now:
+            desired = desired._replace(arm=np.array(command.arm), arm_stamp=stamp, arm_mode=command.arm_mode)
     arm_is_old, base_is_old = (
-        not 0.0 <= now - stamp <= config.command_timeout for stamp in (wish.arm_stamp, wish.base_stamp)
+        not 0.0 <= now - stamp <= config.command_timeout for stamp in (desired.arm_stamp, desired.base_stamp)
     )
     if arm_is_old and base_is_old:
-        age = now - max(wish.arm_stamp, wish.base_stamp)
-        return wish, Stop("silence", f"There was no command for {age:.2f} s.", now)
-    if arm_is_old and wish.arm_mode == "velocity":
-        wish = wish._replace(arm=np.zeros(len(wish.arm)))
+        age = now - max(desired.arm_stamp, desired.base_stamp)
+        return desired, Stop("silence", f"There was no command for {age:.2f} s.", now)
+    if arm_is_old and desired.arm_mode == "velocity":
+        desired = desired._replace(arm=np.zeros(len(desired.arm)))
     if base_is_old:
-        wish = wish._replace(base=np.zeros(3))
-    return wish, None
+        desired = desired._replace(base=np.zeros(3))
+    return desired, None
 
 
 def _moved(
-    state: SafetyState, wish: Wish, q: np.ndarray | None, stopping: bool, arm_dt: float, dt: float
+    state: SafetyState, desired: DesiredVelocity, q: np.ndarray | None, stopping: bool, arm_dt: float, dt: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """The velocities of arm and base that may be sent, and whether they are less than the wish."""
+    """The velocities of arm and base that may be sent, and whether they are less than desired."""
     config = state.config
     velocity, twist = np.zeros(len(state.velocity)), np.zeros(3)
     lower, upper, v_max, a_max = config.arm_arrays
     hold, held = config.longest_tick, False
     if q is not None and len(q):
         v = np.zeros(len(q))
-        if wish.arm_mode == "position":
+        if desired.arm_mode == "position":
             hold += arm_dt  # the move of this step comes before what velocities would need to brake
             if not stopping and arm_dt > 0.0:
-                before = state.wish.arm if state.wish.arm_mode == "position" else q
-                _limit_kernels.follow(wish.arm, before, q, arm_dt, a_max, v)
+                before = state.desired.arm if state.desired.arm_mode == "position" else q
+                _limit_kernels.follow(desired.arm, before, q, arm_dt, a_max, v)
         elif not stopping:
-            v = wish.arm
+            v = desired.arm
         held = _limit_kernels.limit(v, state.velocity, arm_dt, hold, v_max, a_max, q - lower, upper - q, velocity)
     if config.base is not None:
         v_max, a_max, room = config.base_arrays
-        v = np.zeros(3) if stopping else wish.base
+        v = np.zeros(3) if stopping else desired.base
         held |= _limit_kernels.limit(v, state.twist, dt, config.longest_tick, v_max, a_max, room, room, twist)
     return velocity, twist, held and not stopping

@@ -81,7 +81,7 @@ def _usable(source: str, record: Any) -> bool:
     return all(finite(getattr(record, name)) for name in names)
 
 
-def grave(config: SafetyConfig, state: Watch, readings: Readings, now: float) -> Stop | None:
+def latching_stop(config: SafetyConfig, state: Watch, readings: Readings, now: float) -> Stop | None:
     """Return the stop that holds until it is reset: emergency stop, contact, divergence."""
     if readings.emergency_stop:
         return Stop("emergency stop", "The emergency stop is pressed.", now, True)
@@ -100,7 +100,7 @@ def grave(config: SafetyConfig, state: Watch, readings: Readings, now: float) ->
     return None
 
 
-def passing(config: SafetyConfig, state: Watch, health: Health, dt: float, now: float) -> Stop | None:
+def transient_stop(config: SafetyConfig, state: Watch, health: Health, dt: float, now: float) -> Stop | None:
     """Return the stop that ends with its cause: a late tick, stale data, a client that is gone."""
     if not 0.0 <= dt <= config.longest_tick:
         reason = f"{dt:.3f} s went by since the last tick; {config.longest_tick:g} s are allowed."
@@ -134,13 +134,13 @@ def fault(config: SafetyConfig, command: Command, q: np.ndarray | None) -> str:
     return ""
 
 
-def within(config: SafetyConfig, wish: GripperCommand | None) -> GripperCommand | None:
+def within(config: SafetyConfig, command: GripperCommand | None) -> GripperCommand | None:
     """Return the gripper's command within its limits."""
-    if wish is None:
+    if command is None:
         return None
-    top = {"velocity": config.gripper_velocity, "force": config.gripper_force}.get(wish.mode)
+    top = {"velocity": config.gripper_velocity, "force": config.gripper_force}.get(command.mode)
     low, high = (0.0, 1.0) if top is None else (-top, top)
-    return GripperCommand(wish.mode, min(max(wish.value, low), high))
+    return GripperCommand(command.mode, min(max(command.value, low), high))
 
 
 @lru_cache(maxsize=64)

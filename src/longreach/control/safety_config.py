@@ -1,4 +1,4 @@
-"""What the safety gate holds the robot to; a robot's own limits come from its hardware's promises."""
+"""What the safety gate holds the robot to; a robot's own limits come from its hardware's capabilities."""
 
 import math
 from functools import cached_property
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from longreach.control.hardware import Promises
+from longreach.control.hardware import Capabilities
 from longreach.errors import ControlError
 
 Source = Literal["wheels", "scans", "imu", "joints", "wrenches"]
@@ -122,7 +122,7 @@ class SafetyConfig(_Settings):
         return np.array(base.velocity), np.array(base.acceleration), np.full(3, math.inf)
 
 
-def limits_of(promises: Promises, config: SafetyConfig | None = None) -> SafetyConfig:
+def limits_of(capabilities: Capabilities, config: SafetyConfig | None = None) -> SafetyConfig:
     """Return the configuration with the limits of a robot's arm and base wherever it has none of its own.
 
     Raises:
@@ -130,24 +130,24 @@ def limits_of(promises: Promises, config: SafetyConfig | None = None) -> SafetyC
     """
     config = config or SafetyConfig()
     changes: dict[str, ArmLimits | BaseLimits] = {}
-    limits = promises.arm_limits
-    if config.arm is None and promises.arm_names:
-        for name, speed, hardest in zip(promises.arm_names, limits.velocity, limits.acceleration, strict=True):
+    limits = capabilities.arm_limits
+    if config.arm is None and capabilities.arm_names:
+        for name, speed, hardest in zip(capabilities.arm_names, limits.velocity, limits.acceleration, strict=True):
             if not (0.0 < speed < math.inf and 0.0 < hardest < math.inf):
                 raise ControlError(
                     f"{name} may move at {speed:g} rad/s and {hardest:g} rad/s²; "
                     "give the robot's description a velocity and an acceleration that are finite."
                 )
         changes["arm"] = ArmLimits(
-            names=promises.arm_names,
+            names=capabilities.arm_names,
             lower=tuple(limits.lower.tolist()),
             upper=tuple(limits.upper.tolist()),
             velocity=tuple(limits.velocity.tolist()),
             acceleration=tuple(limits.acceleration.tolist()),
-            period=1.0 / promises.arm_rate,
+            period=1.0 / capabilities.arm_rate,
         )
-    if config.base is None and promises.base_velocity is not None and promises.base_acceleration is not None:
+    if config.base is None and capabilities.base_velocity is not None and capabilities.base_acceleration is not None:
         changes["base"] = BaseLimits.model_validate(
-            {"velocity": promises.base_velocity.tolist(), "acceleration": promises.base_acceleration.tolist()}
+            {"velocity": capabilities.base_velocity.tolist(), "acceleration": capabilities.base_acceleration.tolist()}
         )
     return config.model_copy(update=changes)

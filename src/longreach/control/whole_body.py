@@ -1,4 +1,4 @@
-"""The whole-body controller: what base and arm are told so that the tool stays on its path, wherever the base is.
+"""The whole-body controller: what base and arm are commanded so that the tool stays on its path, wherever the base is.
 
 Base and arm each follow the plan, and the arm takes up what the base does wrong: of the twist V that the tool needs,
 the base's command gives J_base u, and the arm gives the rest,
@@ -41,20 +41,22 @@ class Reference(NamedTuple):
     velocity: Float[np.ndarray, " n"]
 
 
-class Wish(NamedTuple):
+class DesiredVelocity(NamedTuple):
     """Velocities of the arm (m,) [rad/s] and the twist of the base (3,) in its own axes."""
 
     arm: Float[np.ndarray, " m"]
     base: Float[np.ndarray, "3"]
 
 
-def step(robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], reference: Reference) -> Wish:
+def step(
+    robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], reference: Reference
+) -> DesiredVelocity:
     """Return what to tell base and arm where the robot is at q (n,), as measured and estimated, base first."""
     base, arm = robot.base, robot.arm
     u_ref = reference.velocity[base]
     if config.loop == "open":
         correction = config.arm_gain * (reference.q[arm] - q[arm])
-        return Wish(reference.velocity[arm] + correction, _in_body(reference.q[2], u_ref))
+        return DesiredVelocity(reference.velocity[arm] + correction, _in_body(reference.q[2], u_ref))
     away = reference.q[base] - q[base]
     away[2] = (away[2] + np.pi) % (2.0 * np.pi) - np.pi
     u = u_ref + config.base_gain * away
@@ -62,17 +64,17 @@ def step(robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray,
     T_ref, J_ref = robot.forward_and_jacobian(reference.q)
     e = _pose_error(T, T_ref)
     V = J_ref @ reference.velocity + config.tool_gain * e
-    return Wish(_damped(J[:, arm], V - J[:, base] @ u, config), _in_body(q[2], u))
+    return DesiredVelocity(_damped(J[:, arm], V - J[:, base] @ u, config), _in_body(q[2], u))
 
 
 def reach(
     robot: MobileManipulator, config: WholeBodyConfig, q: Float[np.ndarray, " n"], T_ref: Float[np.ndarray, "4 4"]
-) -> Wish:
+) -> DesiredVelocity:
     """Return how the arm pulls the tool straight to T_world_tool from q (n,), slowly; the base stands."""
     T, J = robot.forward_and_jacobian(q)
     V = config.arm_gain * _pose_error(T, T_ref)
     much = max(np.linalg.norm(V[:3]) / config.reach_speed, np.linalg.norm(V[3:]) / config.reach_turn, 1.0)
-    return Wish(_damped(J[:, robot.arm], V / much, config), np.zeros(3))
+    return DesiredVelocity(_damped(J[:, robot.arm], V / much, config), np.zeros(3))
 
 
 def _pose_error(T: np.ndarray, T_ref: np.ndarray) -> np.ndarray:

@@ -59,16 +59,16 @@ class GripperAction:
         self._control = gripper.init(GripperConfig(), now)
 
     def step(self, fingers: GripperState | None, now: float) -> GripperCommand | None:
-        """Take what came in, and return what the fingers are to do at `now` [s]; None: nothing was ever wished for."""
-        wish = None
+        """Take what came in, and return what the fingers are to do at `now` [s]; None: nothing was ever commanded."""
+        wanted = None
         while self._goals.inbox:
             what, message = self._goals.inbox.popleft()
             if what == "goal":
-                wish = self._take(message, fingers, now) or wish
+                wanted = self._take(message, fingers, now) or wanted
             elif self._goals.is_cancelled(message):
                 self._goals.end(PREEMPTED, "It was cancelled.", now, *self._result(fingers))
-                wish = _STAY
-        self._control, command = gripper.step(self._control, GripperInput(fingers, wish), now)
+                wanted = _STAY
+        self._control, command = gripper.step(self._control, GripperInput(fingers, wanted), now)
         self._judge(fingers, now)
         if self._goals.feeds(now):
             self._goals.feed(*self._result(fingers))
@@ -78,13 +78,13 @@ class GripperAction:
     def _take(self, message: Any, fingers: GripperState | None, now: float) -> GripperCommand | None:
         goal, asked = self._goals.new(message), message.goal.command
         try:
-            wish = command_of(asked.position, asked.max_effort, self._angle)
+            wanted = command_of(asked.position, asked.max_effort, self._angle)
         except ControlError as error:
             self._goals.conclude(goal, REJECTED, str(error), now, *self._result(fingers))
             return None
         self._goals.end(PREEMPTED, "A newer goal took its place.", now, *self._result(fingers))
         self._goals.begin(goal, now)
-        return wish
+        return wanted
 
     def _judge(self, fingers: GripperState | None, now: float) -> None:
         """End the goal where the fingers are there, or stand: around something, which is what they are for, or not."""

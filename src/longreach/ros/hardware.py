@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from longreach.control.hardware import ArmMode, Command, Promises, Readings, promises_of
+from longreach.control.hardware import ArmMode, Capabilities, Command, Readings, capabilities_of
 from longreach.control.safety_checks import places
 from longreach.errors import ControlError, LiveError
 from longreach.io import messages
@@ -70,12 +70,12 @@ def connect_ros(
 class RosHardware:
     """A robot over ROS; made by `connect_ros`. See `longreach.control.hardware.Hardware`.
 
-    Where no command was written for `promises.timeout` it lets the robot stand.
+    Where no command was written for `capabilities.timeout` it lets the robot stand.
     """
 
     def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
         self._hand, self._angle = Hand.of(robot), closing_angle(robot)
-        self._promises = replace(promises_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
+        self._promises = replace(capabilities_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
         self._interface: ArmInterface = arm
         self._sensors = Sensors(robot.description, _ROLES)
         self._q: np.ndarray | None = None
@@ -93,7 +93,7 @@ class RosHardware:
         threading.Thread(target=self._watch, daemon=True).start()
 
     @property
-    def promises(self) -> Promises:
+    def capabilities(self) -> Capabilities:
         """What the robot can do: as its description says."""
         return self._promises
 

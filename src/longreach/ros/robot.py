@@ -64,7 +64,7 @@ def run(robot: MobileManipulator, simulation: Simulated, config: RobotConfig | N
     config = config or RobotConfig()
     wire.start_node("longreach_robot")
     node = _Node(robot, simulation, config)
-    period, due = 1.0 / simulation.promises.arm_rate, time.monotonic()
+    period, due = 1.0 / simulation.capabilities.arm_rate, time.monotonic()
     with wire.running() as goes_on:
         while goes_on():
             due += period
@@ -83,11 +83,11 @@ class _Node:
     def __init__(self, robot: MobileManipulator, simulation: Simulated, config: RobotConfig) -> None:
         self._robot, self._simulation, self._config = robot, simulation, config
         self._offset = wire.now() - simulation.stamp  # from its clock to ROS' [s]
-        promises = simulation.promises
-        self._names = promises.arm_names
-        self._gate: SafetyState = safety.init(limits_of(promises, config.safety), simulation.stamp)
+        capabilities = simulation.capabilities
+        self._names = capabilities.arm_names
+        self._gate: SafetyState = safety.init(limits_of(capabilities, config.safety), simulation.stamp)
         self._commands = Commands(config.base, len(self._names))
-        self._action = TrajectoryAction(config.controller, promises, config.trajectory)
+        self._action = TrajectoryAction(config.controller, capabilities, config.trajectory)
         angle = closing_angle(robot)
         self._gripper = GripperAction(angle, simulation.stamp) if angle else None
         self._topics = Topics(robot.description, config.odometry)
@@ -106,17 +106,17 @@ class _Node:
         readings = replace(self._simulation.read(), emergency_stop=pressed)
         self._topics.send(readings, self._offset)
         self._topics.send_truth(self._simulation, self._offset)
-        wish = self._wish(readings, now)
+        desired = self._desired(readings, now)
         if self._pressed and not pressed:
             self._gate = safety.reset(self._gate)  # the button was let go of
         self._pressed = pressed
-        self._gate, command = safety.step(self._gate, wish, readings, Health(), now)
+        self._gate, command = safety.step(self._gate, desired, readings, Health(), now)
         self._simulation.write(command)
         if now - self._told >= 1.0:
             self._told = now
             self._tell(now)
 
-    def _wish(self, readings: Readings, now: float) -> Command | None:
+    def _desired(self, readings: Readings, now: float) -> Command | None:
         """Return what base, arm and fingers are told, the arm by what came last: numbers or a trajectory."""
         self._arm = self._measured(readings) or self._arm
         base, arm = self._commands.take()

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from pydantic import ValidationError
 
 from longreach.control import joint_trajectory
-from longreach.control.hardware import Promises
+from longreach.control.hardware import Capabilities
 from longreach.control.interpolation import sample
 from longreach.control.joint_trajectory import JointInput, JointOutput, JointTrajectoryConfig, JointTrajectoryState
 from longreach.io import messages
@@ -26,8 +26,10 @@ _ACTION = "control_msgs/msg/FollowJointTrajectory"
 class TrajectoryAction:
     """The action's server under CONTROLLER/follow_joint_trajectory; also takes trajectories on CONTROLLER/command."""
 
-    def __init__(self, controller: str, promises: Promises, config: JointTrajectoryConfig | None = None) -> None:
-        self._names, self._limits = promises.arm_names, promises.arm_limits
+    def __init__(
+        self, controller: str, capabilities: Capabilities, config: JointTrajectoryConfig | None = None
+    ) -> None:
+        self._names, self._limits = capabilities.arm_names, capabilities.arm_limits
         self._config = config or JointTrajectoryConfig()
         self._follower: JointTrajectoryState | None = None
         self._goals = Goals(f"{controller}/follow_joint_trajectory", _ACTION)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from longreach.control.hardware import Command, Promises, Readings
+from longreach.control.hardware import Capabilities, Command, Readings
 from longreach.errors import ConfigError
 from longreach.measurement import GripperState, Imu, JointState, WheelSpeeds, WheelTicks, frozen_array
 from longreach.robot.description import Mount
@@ -20,7 +20,7 @@ from longreach.sim.drivers import GripperDriver
 from longreach.sim.kinematic_config import KINDS, STEP, KinematicConfig, traits_of
 from longreach.sim.places import Hand
 from longreach.sim.sensors import Line, Scanner, unchecked
-from longreach.sim.simulated import Truth, check_command, promises_of
+from longreach.sim.simulated import Truth, capabilities_of, check_command
 from longreach.sim.worlds import World, load_world
 
 _AT_ONCE = 500  # steps in one call
@@ -52,13 +52,13 @@ class KinematicRobot:
     ) -> None:
         self.robot, self.config = robot, config or KinematicConfig()
         self.world = world if isinstance(world, World) else load_world(world)
-        self.promises: Promises = promises_of(robot, self.config.timeout)
+        self.capabilities: Capabilities = capabilities_of(robot, self.config.timeout)
         self._hand, self._gripper, self._step, self._stopped = Hand.of(robot), GripperDriver(), 0, ""
-        limits, fast = self.promises.arm_limits, self.promises.arm_limits.velocity
+        limits, fast = self.capabilities.arm_limits, self.capabilities.arm_limits.velocity
         top = np.array(robot.description.velocity_limits)
         self._fast = (-top, top)
         self._bounds = {True: (limits.lower, limits.upper), False: (-fast, fast)}  # of angles, of speeds
-        self._names = (*self.promises.arm_names, *self._hand.names)
+        self._names = (*self.capabilities.arm_names, *self._hand.names)
         self._start = robot.home if q is None else np.array(q, dtype=float)
         encoder, imu = robot.description.encoder, robot.description.imu
         closing = [(i, a) for i, a in enumerate(self._hand.closed.tolist(), len(limits.lower)) if a > 0]
@@ -71,7 +71,7 @@ class KinematicRobot:
 
     def _fit_motion(self, seed: int) -> None:
         """Place the robot, and give each sensor its schedule and a stream of random numbers of its own."""
-        robot, sensors, n = self.robot, self.config.sensors, len(self.promises.arm_names)
+        robot, sensors, n = self.robot, self.config.sensors, len(self.capabilities.arm_names)
         for_draws, for_lines = (rng.spawn(len(KINDS) + 1) for rng in np.random.default_rng(seed).spawn(2))
         self._rngs, self._noise = for_draws[:3], for_draws[3]
         names = (*KINDS, "lidar")
@@ -141,7 +141,7 @@ class KinematicRobot:
             angles = command.arm_mode == "position"
             if not (len(command.arm) == len(orders.arm) and take(command.arm, *self._bounds[angles], orders.arm)):
                 check_command(command, len(orders.arm))
-            orders.hold[:] = angles, now + 1.0 / self.promises.arm_rate, now + self.config.timeout
+            orders.hold[:] = angles, now + 1.0 / self.capabilities.arm_rate, now + self.config.timeout
         if command.gripper is not None:
             self._gripper.take(command.gripper)
             orders.fingers[:] = self._gripper.wanted, self._gripper.speed

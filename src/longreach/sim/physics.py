@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.control.hardware import Command, Promises, Readings
+from longreach.control.hardware import Capabilities, Command, Readings
 from longreach.errors import ConfigError
 from longreach.robot.description import Encoder, Mount
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -31,7 +31,7 @@ from longreach.sim.sensors import (
     read_wheels,
     read_wrench,
 )
-from longreach.sim.simulated import Truth, check_command, promises_of
+from longreach.sim.simulated import Truth, capabilities_of, check_command
 from longreach.sim.worlds import World, load_world
 
 _KINDS = ("wheels", "lidar", "imu", "joints", "wrench", "truth")
@@ -74,14 +74,14 @@ class Simulation:
         self.robot, self.config = robot, config or PhysicsConfig()
         world = world if isinstance(world, World) else load_world(world)
         self.world = world if floor is None else world.with_floor(floor)
-        self._promises = promises_of(robot, self.config.timeout)
+        self._promises = capabilities_of(robot, self.config.timeout)
         self._motion = Motion(robot, self.world, robot.home if q is None else q, self.config.stiffness)
         self._pictures, self._stopped, self._glimpses = Pictures(self._motion.model), "", []
         self._fit_sensors(seed)
         self._sense()
 
     @property
-    def promises(self) -> Promises:
+    def capabilities(self) -> Capabilities:
         """What the robot can do: as its description says."""
         return self._promises
 
@@ -118,7 +118,7 @@ class Simulation:
         if command.arm is not None and command.arm_mode == "velocity":
             motion.arm.take_speeds(command.arm, until)
         elif command.arm is not None:
-            motion.arm.take_angles(command.arm, self.stamp + 1.0 / self.promises.arm_rate)
+            motion.arm.take_angles(command.arm, self.stamp + 1.0 / self.capabilities.arm_rate)
         if command.gripper is not None:
             motion.gripper.take(command.gripper)
 

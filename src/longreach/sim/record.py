@@ -39,7 +39,7 @@ def record(
     """
     if not 0.0 < duration < np.inf:
         raise ConfigError(f"A drive lasts longer than 0 s, but {duration} s was asked for.")
-    start, dt = simulation.stamp, 1.0 / simulation.promises.base_rate
+    start, dt = simulation.stamp, 1.0 / simulation.capabilities.base_rate
     readings = []
     for i in range(round(duration / dt)):
         simulation.write(Command(simulation.stamp, base=np.asarray(twists(i * dt), dtype=float)))
@@ -114,7 +114,7 @@ def make_recording(
     world = load_world("laboratory").moved(*middle(drive))
     simulation = Simulation(robot, world, seed=seed, floor=floor, config=config)
 
-    rate = simulation.promises.base_rate
+    rate = simulation.capabilities.base_rate
     motion = move(drive, np.arange(math.ceil(duration * rate) + 1) / rate)
     twists, poses = motion.twist, motion.poses
 

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from longreach.control.hardware import Command, Hardware, Promises
+from longreach.control.hardware import Capabilities, Command, Hardware
 from longreach.errors import ControlError
 from longreach.robot.chain import JointLimits
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -63,12 +63,12 @@ def arm_limits(robot: MobileManipulator) -> JointLimits:
     return JointLimits(**{f.name: getattr(robot.limits, f.name)[robot.arm] for f in fields(JointLimits)})
 
 
-def promises_of(robot: MobileManipulator, timeout: float) -> Promises:
+def capabilities_of(robot: MobileManipulator, timeout: float) -> Capabilities:
     """Return what a robot can do: as its description says."""
     description = robot.description
     fast, hard = np.array(description.velocity_limits), np.array(description.acceleration_limits)
     gripper, names = bool(Hand.of(robot).names), robot.joint_names[robot.arm]
-    return Promises(names, arm_limits(robot), fast, hard, timeout=timeout, gripper=gripper)
+    return Capabilities(names, arm_limits(robot), fast, hard, timeout=timeout, gripper=gripper)
 
 
 def check_command(command: Command, joints: int) -> None:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from longreach.evaluation import style
 from longreach.robot.manipulability import manipulability
 from longreach.robot.mobile_manipulator import MobileManipulator
-from longreach.view.moment import Curve, Plot
+from longreach.view.frame import Curve, Plot
 
 JOINT_COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.VERMILION, style.PURPLE, style.SKY, style.BLACK)
 

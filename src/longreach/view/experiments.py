@@ -17,7 +17,7 @@ from longreach.planning.timing import eased
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.drive import Drive, make_drive, move
-from longreach.view.face import Commanded, Method
+from longreach.view.robot_client import Method, RobotClient
 
 _ROW = 0.1  # [s] between two rows of a drive: its fastest wave has 0.15 Hz
 _PART = 0.85  # of the drive's speeds and space: the rest is for correcting; ours
@@ -29,12 +29,12 @@ _ROOM = 1000.0  # a base has no end stops [m]
 class Asked(NamedTuple):
     """What an experiment is planned with: the client, the planner's name, and what the laser has seen (m, 2) [m]."""
 
-    client: Commanded
+    client: RobotClient
     method: Method
     seen: Float[np.ndarray, "m 2"]
 
 
-def _reference(client: Commanded, length: float) -> Reference:
+def _reference(client: RobotClient, length: float) -> Reference:
     """Return the thesis' second experiment from where the robot is."""
     robot, q = client.robot, client.state.q
     return dual_trajectory(robot.forward(q), q[robot.base], length, 0.2, waypoints=200, duration=length / PACE)

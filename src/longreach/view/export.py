@@ -10,7 +10,7 @@ from typing import Any
 
 from longreach.io.whole_files import write_text
 from longreach.view import plot_figure
-from longreach.view.moment import Run
+from longreach.view.frame import Run
 from longreach.view.page import close_page, legend_html, open_page
 from longreach.view.player import Player
 from longreach.view.replay import read_run
@@ -34,7 +34,7 @@ def scene_html(run: Run) -> str:
     with _closed() as server:
         player = Player(server, run, panel=False)
         serializer = server.get_scene_serializer()
-        count = max(2, min(_MOST, len(run.moments), round(run.duration * _RATE)))
+        count = max(2, min(_MOST, len(run.frames), round(run.duration * _RATE)))
         for i in range(count):
             player.seek(run.duration * i / (count - 1))
             serializer.insert_sleep(run.duration / count)

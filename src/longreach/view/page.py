@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from longreach.view import overlay
-from longreach.view.moment import Plot
+from longreach.view.frame import Plot
 from longreach.view.scene import COLOURS, engine
 
 _NAMES = {

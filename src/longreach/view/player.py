@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from longreach.view.moment import Run
+from longreach.view.frame import Run
 from longreach.view.page import PlotPanel, add_legend
 from longreach.view.scene import COLOURS, Follower, Growing, Scene
 
@@ -65,10 +65,10 @@ class Player:
         with self._lock, self._server.atomic():
             self.time = min(max(at, 0.0), self.run.duration)
             i = self.run.index(self.time)
-            moment = self.run.moments[i]
-            self.scene.show(moment)
+            frame = self.run.frames[i]
+            self.scene.show(frame)
             if self._follow is not None:
-                self._follower.show(np.array([*moment.q[:2], 0.0]), self._follow.value)
+                self._follower.show(np.array([*frame.q[:2], 0.0]), self._follow.value)
             for growing in self._growing:
                 growing.show(self.time)
             for panel in self._plots if plots else ():

@@ -6,7 +6,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from longreach.evaluation import style
-from longreach.view.moment import Run
+from longreach.view.frame import Run
 
 _HEIGHT = 1.9  # of a panel [inch]
 _POINTS = 600  # of a curve

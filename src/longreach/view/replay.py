@@ -22,13 +22,13 @@ from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.trajectory import PoseTrajectory
 from longreach.view import curves
-from longreach.view.moment import Moment, Run
+from longreach.view.frame import Frame, Run
 
-_RATE = 25.0  # moments a second
+_RATE = 25.0  # frames a second
 _MOST_MOMENTS = 6000
 _MAP_CELL = 0.04  # [m]
 _MOST_SCANS = 2000  # laid into the map
-_REPORTED = 240  # moments and scans in the report of an estimate
+_REPORTED = 240  # frames and scans in the report of an estimate
 _BEAMS = 361  # of a sweep that is shown
 _APART = 0.2  # between truth and estimate at the start [m or rad]: beyond, they are in different frames
 
@@ -158,7 +158,7 @@ def assemble(
     plans: Mapping[str, Float[np.ndarray, "j 3"]] | None = None,
     most: int = _MOST_MOMENTS,
 ) -> Run:
-    """Put recording and trajectories on an even grid of times, of `most` moments."""
+    """Put recording and trajectories on an even grid of times, of `most` frames."""
     fused = trajectories["fused"]
     start, stop = float(fused.clock[0]), float(fused.clock[-1])
     count = int(np.clip(round((stop - start) * _RATE) + 1, 2, most))
@@ -178,8 +178,8 @@ def assemble(
     if tool_truth is not None:
         tools = tool_truth[1][np.clip(np.searchsorted(tool_truth[0], clock), 0, len(tool_truth[0]) - 1)]
     sweeps = _Sweeps(recording, robot.description, fused)
-    moments = tuple(
-        Moment(
+    frames = tuple(
+        Frame(
             q[i],
             None if covariance is None else covariance[i],
             poses["wheels"][i] if "wheels" in poses else None,
@@ -196,7 +196,7 @@ def assemble(
     if robot.dof > 3:
         paths["tool driven"] = (times, robot.forward(q)[:, :3, 3])
     plots = curves.plots(robot, times, q, velocities, covariance, poses, tools)
-    return Run(name, robot, times, moments, map_points, map_times, paths, plans or {}, plots)
+    return Run(name, robot, times, frames, map_points, map_times, paths, plans or {}, plots)
 
 
 def _take_joints(

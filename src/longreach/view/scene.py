@@ -14,7 +14,7 @@ from longreach.errors import ConfigError
 from longreach.evaluation import style
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.view import bodies
-from longreach.view.moment import Moment
+from longreach.view.frame import Frame
 
 _ABOVE = 0.012  # of lines over the floor [m], so that they do not flicker in it
 _CHI2_95 = 5.991  # of two degrees of freedom
@@ -78,17 +78,17 @@ class Scene:
         self._shown_scan: Any = None
         self._arm: np.ndarray | None = None  # as it is shown
 
-    def show(self, moment: Moment) -> None:
-        """Put everything where it is at a moment."""
-        pose = moment.q[:3] if self._robot.base.stop else np.zeros(3)
-        self._show_links(pose, moment.q)
-        for name, at in (("wheels", moment.wheels), ("truth", moment.truth)):
+    def show(self, frame: Frame) -> None:
+        """Put everything where it is at a frame."""
+        pose = frame.q[:3] if self._robot.base.stop else np.zeros(3)
+        self._show_links(pose, frame.q)
+        for name, at in (("wheels", frame.wheels), ("truth", frame.truth)):
             self._show_base(self._ghosts[name], at)
-        self._show_ellipse(pose, moment.covariance)
-        self._tool_truth.visible = moment.tool_truth is not None
-        if moment.tool_truth is not None:
-            self._tool_truth.position = moment.tool_truth[:3, 3]
-        self._show_scan(pose if moment.scan_pose is None else moment.scan_pose, moment.scan)
+        self._show_ellipse(pose, frame.covariance)
+        self._tool_truth.visible = frame.tool_truth is not None
+        if frame.tool_truth is not None:
+            self._tool_truth.position = frame.tool_truth[:3, 3]
+        self._show_scan(pose if frame.scan_pose is None else frame.scan_pose, frame.scan)
 
     def _show_links(self, pose: np.ndarray, q: np.ndarray) -> None:
         """Move the robot as a whole, and its links in it where the arm has moved."""

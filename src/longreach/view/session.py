@@ -9,13 +9,13 @@ from longreach.errors import RecordingError
 from longreach.io.bag_writer import write_bag
 from longreach.measurement import JointState, Odometry, Recording
 from longreach.trajectory import PoseTrajectory
-from longreach.view.face import Commanded
+from longreach.view.robot_client import RobotClient
 
 
 class Session:
     """Takes all states and scans of a client from now on, until it is written."""
 
-    def __init__(self, client: Commanded) -> None:
+    def __init__(self, client: RobotClient) -> None:
         self._robot = client.robot
         self._states: list[Any] = []
         self._scans: list[Any] = []

@@ -1,6 +1,6 @@
 """Those whom zenoh itself does not let in: without the token, without a certificate, or speaking something else.
 
-zenoh tells of them in its log alone, on the standard output of the process; here that is read, and they are counted.
+zenoh reports them in its log alone, on the standard output of the process; here that is read, and they are counted.
 """
 
 import os
@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Thread
 
-from longreach.live.door import Refusals
-from longreach.live.link import zenoh
+from longreach.live.protocol.transport import zenoh
+from longreach.live.server.authentication import RejectionCounts
 
 _LEVELS = "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls=warn"
 _ACCEPTED = "New transport link accepted"
@@ -24,7 +24,7 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
-def counted(refusals: Refusals) -> Iterator[None]:
+def counted(rejections: RejectionCounts) -> Iterator[None]:
     """Count connections that are refused while the block runs; call it before a session is opened.
 
     What the process itself writes on its standard output still goes there.
@@ -33,7 +33,7 @@ def counted(refusals: Refusals) -> Iterator[None]:
     os.environ.setdefault("RUST_LOG", _LEVELS)
     os.dup2(write, 1)
     os.close(write)
-    reader = Thread(target=_read, args=(read, shown, refusals), name="refused links", daemon=True)
+    reader = Thread(target=_read, args=(read, shown, rejections), name="refused links", daemon=True)
     reader.start()
     zenoh().try_init_log_from_env()
     try:
@@ -44,7 +44,7 @@ def counted(refusals: Refusals) -> Iterator[None]:
         os.close(shown)
 
 
-def _read(read: int, shown: int, refusals: Refusals) -> None:
+def _read(read: int, shown: int, rejections: RejectionCounts) -> None:
     with os.fdopen(read, "rb") as lines:
         for raw in lines:
             text = _COLOUR.sub("", raw.decode(errors="replace"))
@@ -53,4 +53,4 @@ def _read(read: int, shown: int, refusals: Refusals) -> None:
                 continue
             reason = next((reason for pattern, reason in _REFUSED if pattern.search(text)), None)
             if reason is not None and _ACCEPTED not in text:
-                refusals.count(reason, "the door")
+                rejections.count(reason, "the authentication")

@@ -14,12 +14,12 @@ from longreach.errors import LongreachError
 from longreach.geometry import se2
 from longreach.view import bodies, overlay
 from longreach.view.experiments import EXPERIMENTS, Asked
-from longreach.view.face import Commanded
+from longreach.view.frame import Frame
 from longreach.view.live_plots import LivePlots
-from longreach.view.moment import Moment
 from longreach.view.page import add_legend
 from longreach.view.preview import Preview
 from longreach.view.replay import sweep_points
+from longreach.view.robot_client import RobotClient
 from longreach.view.scene import Follower, Scene
 from longreach.view.session import Session
 from longreach.view.trails import GrowingMap, Trail
@@ -36,14 +36,14 @@ _TURN = 1.5  # how much faster it turns than it drives [rad/m]
 _SHOWN = ("estimate", "wheels", "truth", "scan", "map", "base driven", "tool driven", "base planned", "tool planned")
 
 
-class Cockpit:
+class Teleop:
     """Scene, controls and plots of one client in a viser server; `loop` keeps them up to date.
 
     prepare: what planning needs, done beside while all the rest works already.
     """
 
     def __init__(
-        self, server: Any, client: Commanded, folder: Path = Path("out"), prepare: Callable[[], object] | None = None
+        self, server: Any, client: RobotClient, folder: Path = Path("out"), prepare: Callable[[], object] | None = None
     ) -> None:
         self.client, self._server, self._folder = client, server, folder
         robot, q = client.robot, client.state.q
@@ -115,7 +115,7 @@ class Cockpit:
         self.drop_button.on_click(lambda _: self.drop())
 
     def drive(self, key: str) -> None:
-        """Drive as a key says, until it has not been told for a while."""
+        """Drive as a key says, until it has not been pressed for a while."""
         pace = self._pace.value
         self._twist = pace * np.array(_KEYS[key]) * [1.0, 1.0, _TURN]
         self._until = time.monotonic() + _COASTS
@@ -218,7 +218,7 @@ class Cockpit:
         with self._server.atomic():
             self._take_scan(count)
             self.scene.show(
-                Moment(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, *self._scan[1:])
+                Frame(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, *self._scan[1:])
             )
             if robot.base.stop:
                 self._trails["base driven"].grow(np.array([*state.q[:2], 0.0]))

@@ -8,15 +8,15 @@ from functools import partial
 from threading import Lock
 from typing import Any
 
-from longreach.app.goals import Direct, Follow, Goal, Hold, Reach
-from longreach.app.robot_side import Moment, Orders
+from longreach.app.goals import Follow, Goal, Hold, ServoGoal, VelocityGoal
+from longreach.app.robot_side import Orders, TickRecord
 from longreach.app.tracker import check_plan
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, GripperCommand
 from longreach.errors import LiveError, LongreachError
-from longreach.live import keys, orders
-from longreach.live.door import Door, Refused
-from longreach.live.keys import TYPES, Topic
+from longreach.live.protocol import commands, topics
+from longreach.live.protocol.topics import TYPES, Topic
+from longreach.live.server.authentication import Authentication, Rejected
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LOG = logging.getLogger("longreach.live")
@@ -49,24 +49,29 @@ class Holder:
 
 
 class Listener:
-    """Hears what clients send on a session. moment: returns what the loop did last, None before its first tick."""
+    """Hears what clients send on a session. record: returns what the loop did last, None before its first tick."""
 
     def __init__(
-        self, session: Any, robot: MobileManipulator, door: Door, moment: Callable[[], Moment | None], before: float
+        self,
+        session: Any,
+        robot: MobileManipulator,
+        authentication: Authentication,
+        record: Callable[[], TickRecord | None],
+        before: float,
     ) -> None:
-        self._robot, self._door, self._moment, self._before = robot, door, moment, before
+        self._robot, self._authentication, self._record, self._before = robot, authentication, record, before
         self._lock, self._asked = Lock(), _Asked()
         self.holder, self._taken = Holder(), time.monotonic()
         self.plan: ConfigurationTrajectory | None = None
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
         streams = {
-            keys.TWIST: lambda message: self._direct(orders.twist(message)),
-            keys.JOINTS: lambda message: self._direct(orders.arm(message, robot)),
-            keys.TOOL: lambda message: self._set(goal=Reach(orders.tool(message))),
-            keys.GRIPPER: lambda message: self._set(gripper=orders.gripper(message)),
-            keys.HEARTBEAT: lambda message: None,
+            topics.TWIST: lambda message: self._direct(commands.twist(message)),
+            topics.JOINTS: lambda message: self._direct(commands.arm(message, robot)),
+            topics.TOOL: lambda message: self._set(goal=ServoGoal(commands.tool(message))),
+            topics.GRIPPER: lambda message: self._set(gripper=commands.gripper(message)),
+            topics.HEARTBEAT: lambda message: None,
         }
-        questions = {keys.ORDER: self._order, keys.EXECUTE: self._execute}
+        questions = {topics.ORDER: self._order, topics.EXECUTE: self._execute}
         self._declared = [
             *(session.declare_subscriber(t.key, partial(self._hear, t, take)) for t, take in streams.items()),
             *(session.declare_queryable(t.key, partial(self._answer, t, do)) for t, do in questions.items()),
@@ -82,42 +87,42 @@ class Listener:
             if holder.sender and holder.silent > _FORGOTTEN:
                 _LOG.warning("%s was not heard for %.1f s and holds the robot no more.", holder.name, holder.silent)
                 holder = self.holder = Holder()
-        goal = asked.goal if asked.direct is None else Direct(asked.direct, min(asked.direct.stamp, now))
+        goal = asked.goal if asked.direct is None else VelocityGoal(asked.direct, min(asked.direct.stamp, now))
         heartbeat = now - holder.silent if holder.sender else None
         return Orders(goal, asked.gripper, asked.stop, asked.reset, heartbeat)
 
     def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
         """Take a message of a stream, which nobody waits for an answer to."""
         try:
-            sender, message = self._door.admit(topic, sample)
+            sender, message = self._authentication.admit(topic, sample)
             self._check_holder(sender)
             take(message)
-        except Exception as refusal:
-            self._refuse(refusal, topic)
+        except Exception as rejection:
+            self._reject(rejection, topic)
 
-    def _refuse(self, refusal: Exception, topic: Topic) -> str:
-        """Count a refusal and return its reason; what nobody has thought of is one, too, for it came from outside."""
-        expected = isinstance(refusal, Refused | LongreachError)
-        reason = str(refusal) if expected else "not usable"
+    def _reject(self, rejection: Exception, topic: Topic) -> str:
+        """Count a rejection and return its reason; what nobody has thought of is one, too, for it came from outside."""
+        expected = isinstance(rejection, Rejected | LongreachError)
+        reason = str(rejection) if expected else "not usable"
         if not expected:
-            _LOG.debug("A message on %s has raised %r.", topic.name, refusal)
-        self._door.refusals.count(reason, topic.name)
+            _LOG.debug("A message on %s has raised %r.", topic.name, rejection)
+        self._authentication.rejections.count(reason, topic.name)
         return reason
 
     def _answer(self, topic: Topic, do: Callable[[bytes, Any], str], query: Any) -> None:
         """Do what a query asks for, and answer with a std_msgs/String: what was refused and why, or nothing."""
         with query:
             try:
-                answer = do(*self._door.admit(topic, query))
-            except Exception as refusal:
-                answer = f"refused: {self._refuse(refusal, topic)}"
-            query.reply(topic.key, keys.ORDER.pack(TYPES["std_msgs/msg/String"](answer)))
+                answer = do(*self._authentication.admit(topic, query))
+            except Exception as rejection:
+                answer = f"refused: {self._reject(rejection, topic)}"
+            query.reply(topic.key, topics.ORDER.pack(TYPES["std_msgs/msg/String"](answer)))
 
     def _check_holder(self, sender: bytes) -> None:
         with self._lock:
             holder = self.holder
             if holder.sender != sender:
-                raise Refused("from a client that does not hold the robot")
+                raise Rejected("from a client that does not hold the robot")
             holder.heard = True
 
     def _set(self, **asked: Any) -> None:
@@ -155,7 +160,7 @@ class Listener:
         elif word == "reset":
             self._set(reset=True)
         else:
-            raise Refused("an unknown order")
+            raise Rejected("an unknown order")
         return ""
 
     def _give(self, sender: bytes, name: str) -> str:
@@ -169,13 +174,13 @@ class Listener:
     def _execute(self, sender: bytes, message: Any) -> str:
         """Let the robot follow a trajectory; the answer is the plan's number."""
         self._check_holder(sender)
-        moment = self._moment()
-        if moment is None:
+        record = self._record()
+        if record is None:
             raise LiveError("The robot is not ready yet.")
-        if moment.tick.stop is not None and moment.tick.stop.latched:
-            raise LiveError(f"The robot is stopped: {moment.tick.stop.reason} Reset it first.")
-        plan = orders.trajectory(message, self._robot)
-        check_plan(self._robot, plan, moment.tick.q, moment.state.config)
+        if record.tick.stop is not None and record.tick.stop.latched:
+            raise LiveError(f"The robot is stopped: {record.tick.stop.reason} Reset it first.")
+        plan = commands.trajectory(message, self._robot)
+        check_plan(self._robot, plan, record.tick.q, record.state.config)
         with self._lock:
             self.plan, self._given = plan, self._given + 1
             self._asked.goal, self._asked.direct = Follow(plan, -self._before), None

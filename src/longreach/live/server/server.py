@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from longreach.app.goals import Follow
-from longreach.app.robot_side import Moment, Orders
+from longreach.app.robot_side import Orders, TickRecord
 from longreach.app.tracker import TrackerConfig
 from longreach.io import messages
-from longreach.live import keys, telling
-from longreach.live.attachment import attach
-from longreach.live.door import Door, Refusals
-from longreach.live.keys import TYPES, Sensed, Topic
-from longreach.live.link import open_server, zenoh
-from longreach.live.listener import Listener
-from longreach.live.recorder import Recorder
-from longreach.live.ros_graph import announced
+from longreach.live.protocol import topics
+from longreach.live.protocol.message_header import pack_header
+from longreach.live.protocol.topics import TYPES, Sensed, Topic
+from longreach.live.protocol.transport import open_server, zenoh
+from longreach.live.server import publisher
+from longreach.live.server.authentication import Authentication, RejectionCounts
+from longreach.live.server.listener import Listener
+from longreach.live.server.recorder import Recorder
+from longreach.live.server.ros_graph import announced
 from longreach.measurement import JointState
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
@@ -28,8 +29,8 @@ from longreach.sim.simulated import Truth
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
 _STREAMS = (
-    keys.ESTIMATE, keys.SETTLED, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, keys.STATUS, keys.TF,
-    keys.TF_STATIC, keys.PLAN,
+    topics.ESTIMATE, topics.SETTLED, topics.WHEELS_ALONE, topics.TOOL_TRUTH, topics.REFERENCE, topics.STATUS, topics.TF,
+    topics.TF_STATIC, topics.PLAN,
 )  # fmt: skip
 
 
@@ -57,23 +58,25 @@ class Server:
         tracker: TrackerConfig,
         truth: Callable[[], Truth] | None = None,
         recorder: Recorder | None = None,
-        refusals: Refusals | None = None,
+        rejections: RejectionCounts | None = None,
     ) -> None:
         self._robot, self._truth, self._recorder = robot, truth, recorder
         self._nonce = secrets.token_bytes(16)
         self._sensed = Sensed.of(robot.description)
         streams = (*_STREAMS, *self._sensed)
-        self._senders = {topic: secrets.token_bytes(16) for topic in streams}  # each publisher is told apart, as in ROS
+        self._senders = {
+            topic: secrets.token_bytes(16) for topic in streams
+        }  # each publisher has an identity, as in ROS
         self._numbers = dict.fromkeys(streams, 0)
-        self._moment: Moment | None = None
+        self._record: TickRecord | None = None
         self._joints: tuple[JointState, ...] = ()
         self._published = time.monotonic()
         self._progress, self._plans = 0.0, 0
         self._status, self._status_due, self._frames_due = "", 0.0, 0.0
-        self.refusals = refusals or Refusals()
+        self.rejections = rejections or RejectionCounts()
         self._session = open_server(config.address, config.token, config.certificates)
-        door = Door(config.token, self._nonce, self.refusals)
-        self._listener = Listener(self._session, robot, door, lambda: self._moment, tracker.before)
+        authentication = Authentication(config.token, self._nonce, self.rejections)
+        self._listener = Listener(self._session, robot, authentication, lambda: self._record, tracker.before)
         z = zenoh()
         self._publishers = {
             topic: self._session.declare_publisher(
@@ -83,11 +86,11 @@ class Server:
         }
         String = TYPES["std_msgs/msg/String"]
         lasting = {
-            keys.DESCRIPTION: lambda: String(description[0]),
-            keys.URDF: lambda: String(description[1]),
-            keys.TF_STATIC: lambda: telling.static_frames(robot, self.now),
-            keys.PLAN: self._plan,
-            keys.CLOCK: self._clock,
+            topics.DESCRIPTION: lambda: String(description[0]),
+            topics.URDF: lambda: String(description[1]),
+            topics.TF_STATIC: lambda: publisher.static_frames(robot, self.now),
+            topics.PLAN: self._plan,
+            topics.CLOCK: self._clock,
         }
         self._declared = [
             self._session.declare_queryable(topic.key, partial(self._tell, topic, say))
@@ -99,41 +102,41 @@ class Server:
     @property
     def now(self) -> float:
         """The time of the robot's clock [s]."""
-        moment = self._moment
-        return 0.0 if moment is None else moment.tick.stamp + time.monotonic() - self._published
+        record = self._record
+        return 0.0 if record is None else record.tick.stamp + time.monotonic() - self._published
 
     def take(self, now: float) -> Orders:
         """Return what clients have asked for since the last call."""
         return self._listener.take(now)
 
-    def publish(self, moment: Moment) -> None:
+    def publish(self, record: TickRecord) -> None:
         """Say what one tick knew and did."""
-        if self._moment is None:
-            self._say(keys.TF_STATIC, telling.static_frames(self._robot, moment.tick.stamp), moment.tick.stamp)
-        if moment.readings.joints:
-            self._joints = moment.readings.joints[-1:]
+        if self._record is None:
+            self._say(topics.TF_STATIC, publisher.static_frames(self._robot, record.tick.stamp), record.tick.stamp)
+        if record.readings.joints:
+            self._joints = record.readings.joints[-1:]
         else:  # what only these tell, where the fingers are, is said at each tick all the same
-            moment = moment._replace(readings=replace(moment.readings, joints=self._joints))
-        self._moment, self._published = moment, time.monotonic()
-        now, truth = moment.tick.stamp, None if self._truth is None else self._truth()
-        if isinstance(moment.state.goal, Follow):
-            self._progress = moment.state.goal.progress
+            record = record._replace(readings=replace(record.readings, joints=self._joints))
+        self._record, self._published = record, time.monotonic()
+        now, truth = record.tick.stamp, None if self._truth is None else self._truth()
+        if isinstance(record.state.goal, Follow):
+            self._progress = record.state.goal.progress
         if self._plans != self._listener.plans:
             self._plans, self._progress = self._listener.plans, 0.0
-            self._say(keys.PLAN, self._plan(), now)
-        self._say_status(moment, now)
-        for topic, message in telling.state(self._robot, self._sensed, moment, truth):
+            self._say(topics.PLAN, self._plan(), now)
+        self._say_status(record, now)
+        for topic, message in publisher.state(self._robot, self._sensed, record, truth):
             self._say(topic, message, now)
-        for topic, message in (*telling.sensors(self._robot, self._sensed, moment), *telling.settled(moment)):
+        for topic, message in (*publisher.sensors(self._robot, self._sensed, record), *publisher.settled(record)):
             self._say(topic, message, now)
         if now >= self._frames_due:
             self._frames_due = now + _FRAMES_EVERY - 1e-6
-            self._say(keys.TF, telling.moving_frames(self._robot, moment), now)
+            self._say(topics.TF, publisher.moving_frames(self._robot, record), now)
 
-    def _say_status(self, moment: Moment, now: float) -> None:
+    def _say_status(self, record: TickRecord, now: float) -> None:
         """Say how the loop is, from time to time, and at once where something else than a number has changed."""
-        holder, stop = self._listener.holder, moment.tick.stop
-        what = f"{telling.goal_name(moment)} {self._plans} {holder.sender.hex()} {stop and stop.cause}"
+        holder, stop = self._listener.holder, record.tick.stop
+        what = f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {stop and stop.cause}"
         if what == self._status and now < self._status_due:
             return
         self._status, self._status_due = what, now + _STATUS_EVERY - 1e-6
@@ -142,9 +145,9 @@ class Server:
             "holder_id": holder.sender.hex(),
             "plan": str(self._plans),
             "progress": f"{self._progress:.6f}",
-            "refused": str(self.refusals.total),
+            "refused": str(self.rejections.total),
         }
-        self._say(keys.STATUS, telling.status(moment, values), now)
+        self._say(topics.STATUS, publisher.status(record, values), now)
 
     def _say(self, topic: Topic, message: Any, now: float) -> None:
         publisher = self._publishers[topic]
@@ -156,14 +159,14 @@ class Server:
             self._recorder.write(topic, payload, now)
         if listens:
             self._numbers[topic] += 1
-            publisher.put(payload, attachment=attach(self._numbers[topic], self._senders[topic]))
+            publisher.put(payload, attachment=pack_header(self._numbers[topic], self._senders[topic]))
 
     def _tell(self, topic: Topic, say: Callable[..., Any], query: Any) -> None:
-        """Answer with what lasts; with the nonce of this server where the attachment of a message has its sender."""
+        """Answer with what lasts; with the nonce of this server where the header of a message has its sender."""
         with query:
-            message = say(query) if topic is keys.CLOCK else say()
+            message = say(query) if topic is topics.CLOCK else say()
             if message is not None:
-                query.reply(topic.key, topic.pack(message), attachment=attach(0, self._nonce))
+                query.reply(topic.key, topic.pack(message), attachment=pack_header(0, self._nonce))
 
     def _plan(self) -> Any:
         plan = self._listener.plan
@@ -172,19 +175,19 @@ class Server:
     def _clock(self, query: Any) -> Any:
         """Answer the time of the robot's clock, and give back the client's own."""
         payload = b"" if query.payload is None else bytes(query.payload)
-        if len(payload) > keys.CLOCK.limit:
-            self.refusals.count("too large", keys.CLOCK.name)
+        if len(payload) > topics.CLOCK.limit:
+            self.rejections.count("too large", topics.CLOCK.name)
             return None
         try:
-            asked = keys.CLOCK.unpack(payload)
+            asked = topics.CLOCK.unpack(payload)
         except Exception:
-            self.refusals.count("malformed", keys.CLOCK.name)
+            self.rejections.count("malformed", topics.CLOCK.name)
             return None
         header = messages.header(TYPES, self.now, "")
         return TYPES["sensor_msgs/msg/TimeReference"](header, asked.time_ref, "longreach")
 
     def close(self) -> None:
         """Hang up, also where the network has gone and does not answer."""
-        self.refusals.tell_all()
+        self.rejections.log_all()
         with suppress(zenoh().ZError):
             self._session.close()

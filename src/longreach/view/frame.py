@@ -1,4 +1,4 @@
-"""What a page shows: one moment of a robot, and a recorded run as many of them."""
+"""What a page shows: one frame of a robot, and a recorded run as many of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """One moment, all in map's frame; what is not known is None.
+class Frame:
+    """One frame, all in map's frame; what is not known is None.
 
     q (n,): base first, as estimated [m, m, rad, rad …]. covariance (3, 3) of the base's error ξ, in its own frame.
     wheels, truth (3,): where the wheels alone say the base is, and where it really is. tool_truth (4, 4).
@@ -58,7 +58,7 @@ class Run:
     name: str
     robot: MobileManipulator
     times: Float[np.ndarray, " n"]
-    moments: Sequence[Moment]
+    frames: Sequence[Frame]
     map_points: Float[np.ndarray, "m 2"]
     map_times: Float[np.ndarray, " m"]
     paths: Mapping[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]]
@@ -73,12 +73,12 @@ class Run:
     @property
     def shown(self) -> list[str]:
         """What of the legend's names there is."""
-        first = self.moments[0]
+        first = self.frames[0]
         there = {"estimate": True, "wheels": first.wheels is not None, "truth": first.truth is not None}
         there |= {"scan": first.scan is not None, "map": len(self.map_points) > 0}
         there |= dict.fromkeys((*self.paths, *self.plans), True)
         return [name for name, yes in there.items() if yes]
 
     def index(self, time: float) -> int:
-        """Return which moment stands at a time [s]."""
+        """Return which frame stands at a time [s]."""
         return int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 1))

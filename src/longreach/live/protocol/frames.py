@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from longreach.errors import LiveError
 from longreach.geometry import se2, se3, so3
-from longreach.live.state import LiveState
+from longreach.live.client.state import LiveState
 from longreach.robot.description import Mount
 from longreach.robot.joint import Joint
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -25,7 +25,7 @@ def tree(robot: MobileManipulator) -> tuple[Joint, ...]:
     joints = list(robot.urdf.joints) if robot.urdf is not None else []
     known = {joint.child for joint in joints}
     description = robot.description
-    own = [(name, placed.parent, placed.matrix()) for name, placed in description.frames.items()]
+    own = [(name, mount.parent, mount.matrix()) for name, mount in description.frames.items()]
     for sensor in (description.lidar, description.imu):
         if sensor is not None and sensor.frame is not None:
             own.append((sensor.frame, BASE, (sensor.mount or Mount()).matrix()))

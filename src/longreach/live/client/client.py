@@ -15,16 +15,16 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
-from longreach.control.hardware import Command, GripperCommand, Promises, Readings, promises_of
+from longreach.control.hardware import Capabilities, Command, GripperCommand, Readings, capabilities_of
 from longreach.errors import LiveError
 from longreach.io import messages
-from longreach.live import keys, motions, orders
-from longreach.live.describing import heard_description
-from longreach.live.frames import connected
-from longreach.live.hearing import Ears
-from longreach.live.keys import TYPES
-from longreach.live.line import Line
-from longreach.live.state import LiveState
+from longreach.live.client import motions
+from longreach.live.client.connection import Connection, read_description
+from longreach.live.client.state import LiveState
+from longreach.live.client.subscriber import Subscriber
+from longreach.live.protocol import commands, topics
+from longreach.live.protocol.frames import connected
+from longreach.live.protocol.topics import TYPES
 from longreach.measurement import LaserScan
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -50,35 +50,35 @@ def connect(
     Raises:
         LiveError: nobody answers there, or the server refuses us.
     """
-    line = Line(address, token, None if certificates is None else Path(certificates), timeout)
+    connection = Connection(address, token, None if certificates is None else Path(certificates), timeout)
     try:
-        client = Client(line, name or f"{getpass.getuser()}@{socket.gethostname()}")
-        line.start()
-        if client._ears.wait(lambda: client._ears.state, timeout) is None:
+        client = Client(connection, name or f"{getpass.getuser()}@{socket.gethostname()}")
+        connection.start()
+        if client._subscriber.wait(lambda: client._subscriber.state, timeout) is None:
             raise LiveError(f"The robot at {address} has not said within {timeout:g} s where it is.")
     except BaseException:
-        line.close()
+        connection.close()
         raise
-    connected.append(client._ears.frames)
+    connected.append(client._subscriber.frames)
     return client
 
 
 class Client:
     """A robot at the other end of a network; made by `connect`. All of it may be called from any thread."""
 
-    def __init__(self, line: Line, name: str) -> None:
-        self._line, self.name = line, name
-        self._robot = heard_description(line)
-        self._ears = ears = Ears(line.session, self._robot)
-        line.confirmed = lambda: ears.status.get("holder_id") == line.sender.hex()
-        plan = line.lasting(keys.PLAN)
+    def __init__(self, connection: Connection, name: str) -> None:
+        self._connection, self.name = connection, name
+        self._robot = read_description(connection)
+        self._subscriber = subscriber = Subscriber(connection.session, self._robot)
+        connection.confirmed = lambda: subscriber.status.get("holder_id") == connection.sender.hex()
+        plan = connection.lasting(topics.PLAN)
         if plan is not None:
-            self._ears.plan = orders.trajectory(plan, self._robot)
+            self._subscriber.plan = commands.trajectory(plan, self._robot)
 
     @property
-    def promises(self) -> Promises:
+    def capabilities(self) -> Capabilities:
         """What the robot can do."""
-        return promises_of(self._robot, gripper=len(self.state.joints) > self._robot.dof - self._robot.base.stop)
+        return capabilities_of(self._robot, gripper=len(self.state.joints) > self._robot.dof - self._robot.base.stop)
 
     @property
     def robot(self) -> MobileManipulator:
@@ -88,60 +88,62 @@ class Client:
     @property
     def state(self) -> LiveState:
         """The newest state."""
-        state = self._ears.state
+        state = self._subscriber.state
         assert state is not None  # `connect` has waited for it
         return state
 
     @property
     def scan(self) -> LaserScan | None:
         """The newest scan, or None before the first."""
-        return self._ears.scan
+        return self._subscriber.scan
 
     @property
     def plan_running(self) -> ConfigurationTrajectory | None:
         """The plan that the robot follows or has followed last, whoever sent it."""
-        return self._ears.plan
+        return self._subscriber.plan
 
     @property
     def age(self) -> float:
         """How long ago the newest state came [s]; the robot is to be taken for silent beyond 0.25 s."""
-        return time.monotonic() - self._ears.heard
+        return time.monotonic() - self._subscriber.heard
 
     @property
     def offset(self) -> float:
         """The robot's clock less this machine's `time.time()` [s], by the fastest of the last pings."""
-        return self._line.offset
+        return self._connection.offset
 
     @property
     def lost(self) -> int:
         """How many messages the robot has sent and we have not received."""
-        return self._ears.lost
+        return self._subscriber.lost
 
     @property
     def delays(self) -> Float[np.ndarray, " n"]:
         """How long the last messages were under way (n,) [s], true where both sides share a machine's clock."""
-        return np.array(self._ears.delays)
+        return np.array(self._subscriber.delays)
 
     @property
     def holds(self) -> bool:
         """Whether this client holds the robot, so that its commands count."""
-        return self._line.holds and self._line.confirmed()
+        return self._connection.holds and self._connection.confirmed()
 
     def on_state(self, callback: Callable[[LiveState], None]) -> Callable[[], None]:
         """Call back with each new state, from the network's thread: be quick there. Returns what ends it."""
-        self._ears.on_state.append(callback)
-        return lambda: self._ears.on_state.remove(callback)
+        self._subscriber.on_state.append(callback)
+        return lambda: self._subscriber.on_state.remove(callback)
 
     def on_scan(self, callback: Callable[[LaserScan], None]) -> Callable[[], None]:
         """Call back with each new scan, from the network's thread. Returns what ends it."""
-        self._ears.on_scan.append(callback)
-        return lambda: self._ears.on_scan.remove(callback)
+        self._subscriber.on_scan.append(callback)
+        return lambda: self._subscriber.on_scan.remove(callback)
 
     def __iter__(self) -> Iterator[LiveState]:
         """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
         seen = None
-        while not self._line.session.is_closed():
-            state = self._ears.wait(lambda seen=seen: self._ears.state if self._ears.state is not seen else None, 1.0)
+        while not self._connection.session.is_closed():
+            state = self._subscriber.wait(
+                lambda seen=seen: self._subscriber.state if self._subscriber.state is not seen else None, 1.0
+            )
             if state is not None:
                 seen = state
                 yield state
@@ -152,12 +154,12 @@ class Client:
         Raises:
             LiveError: there is no such frame, or none at that time.
         """
-        return self._ears.frames.lookup(target, source, stamp)
+        return self._subscriber.frames.lookup(target, source, stamp)
 
     def read(self) -> Readings:
         """Return what was said since the last call, without waiting; wheels, IMU and wrench from the first call on."""
-        self._ears.sense()
-        return self._ears.readings(self._line.now)
+        self._subscriber.sense()
+        return self._subscriber.readings(self._connection.now)
 
     def write(self, command: Command) -> None:
         """Send velocities or positions, from now on for 0.25 s; takes the robot where nobody holds it.
@@ -166,25 +168,27 @@ class Client:
             LiveError: another client holds the robot.
         """
         self._take_if_free()
-        stamp = self._line.now
+        stamp = self._connection.now
         if command.base is not None:
-            self._line.send(keys.TWIST, orders.twist_message(stamp, command.base))
+            self._connection.send(topics.TWIST, commands.twist_message(stamp, command.base))
         if command.arm is not None:
             names = self._robot.joint_names[self._robot.arm]
-            self._line.send(keys.JOINTS, messages.joint_state(TYPES, stamp, names, **{command.arm_mode: command.arm}))
+            self._connection.send(
+                topics.JOINTS, messages.joint_state(TYPES, stamp, names, **{command.arm_mode: command.arm})
+            )
         if command.gripper is not None:
-            self._line.send(keys.GRIPPER, orders.gripper_message(stamp, command.gripper))
+            self._connection.send(topics.GRIPPER, commands.gripper_message(stamp, command.gripper))
 
     def velocity(self, arm: Float[np.ndarray, " m"] | None = None, base: Float[np.ndarray, "3"] | None = None) -> None:
         """Send velocities of the arm's joints (m,) [rad/s] and a body twist of the base (3,); None: zero."""
         robot = self._robot
         still = np.zeros(3) if robot.base.stop else None
         arm = np.zeros(robot.dof - robot.base.stop) if arm is None else arm
-        self.write(Command(self._line.now, arm, "velocity", still if base is None else base))
+        self.write(Command(self._connection.now, arm, "velocity", still if base is None else base))
 
     def gripper(self, value: float, mode: Literal["position", "velocity", "force"] = "position") -> None:
         """Close the fingers: position 0 open to 1 closed, velocity [1/s], or force [N]."""
-        self.write(Command(self._line.now, gripper=GripperCommand(mode, float(value))))
+        self.write(Command(self._connection.now, gripper=GripperCommand(mode, float(value))))
 
     def plan(
         self, goal: Reference | Float[np.ndarray, "4 4"], method: Method = "task-priority"
@@ -209,22 +213,24 @@ class Client:
             LiveError: the robot refuses it, or was stopped on the way; the sentence says why.
         """
         self._take_if_free()
-        answer = self._line.ask(keys.EXECUTE, messages.joint_trajectory(TYPES, self._line.now, trajectory))
+        answer = self._connection.ask(
+            topics.EXECUTE, messages.joint_trajectory(TYPES, self._connection.now, trajectory)
+        )
         return self._wait_for(int(answer.split()[-1]), timeout) if wait else self.state
 
     def _wait_for(self, plan: int, timeout: float | None) -> LiveState:
-        ears = self._ears
+        subscriber = self._subscriber
 
         def over() -> bool:
-            number = int(ears.told.get("plan") or 0)
-            done = ears.told.get("goal") != "follow" or ears.told.get("latched") == "1"
+            number = int(subscriber.tick_status.get("plan") or 0)
+            done = subscriber.tick_status.get("goal") != "follow" or subscriber.tick_status.get("latched") == "1"
             return number > plan or (number == plan and done)
 
         before = None
-        while not ears.wait(over, _PATIENCE if timeout is None else timeout):
-            if timeout is not None or ears.told.get("progress") == before:
+        while not subscriber.wait(over, _PATIENCE if timeout is None else timeout):
+            if timeout is not None or subscriber.tick_status.get("progress") == before:
                 raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
-            before = ears.told.get("progress")  # a simulation may be slow, a robot wait for its client
+            before = subscriber.tick_status.get("progress")  # a simulation may be slow, a robot wait for its client
         state = self.state
         if state.plan > plan or state.progress < 1.0:
             raise LiveError(f"The plan ended early: {state.stop or 'the robot was asked for something else'}.")
@@ -246,21 +252,21 @@ class Client:
     def reach(self, T_map_tool: Float[np.ndarray, "4 4"]) -> None:
         """Let the arm pull the tool to a pose at once, the base standing; send it anew as a dragged gizmo moves."""
         self._take_if_free()
-        self._line.send(keys.TOOL, messages.tool_pose(TYPES, self._line.now, T_map_tool))
+        self._connection.send(topics.TOOL, messages.tool_pose(TYPES, self._connection.now, T_map_tool))
 
     def hold(self) -> None:
         """Let the robot stand where it is; ends a plan."""
         self._take_if_free()
-        self._line.order("hold")
+        self._connection.order("hold")
 
     def stop(self, reason: str = "The client says stop.") -> None:
         """Brake at once, whoever holds the robot; it stays so until `reset`."""
-        self._line.order(f"stop {reason}")
+        self._connection.order(f"stop {reason}")
 
     def reset(self) -> None:
         """Let the robot move again after a stop that holds."""
         self._take_if_free()
-        self._line.order("reset")
+        self._connection.order("reset")
 
     def take(self) -> None:
         """Take the robot, so that this client's commands count and others' do not.
@@ -268,8 +274,8 @@ class Client:
         Raises:
             LiveError: another client holds it; the sentence names it.
         """
-        self._line.take(self.name)
-        self._ears.wait(lambda: self.holds, 1.0)
+        self._connection.take(self.name)
+        self._subscriber.wait(lambda: self.holds, 1.0)
 
     def _take_if_free(self) -> None:
         if not self.holds:
@@ -277,17 +283,17 @@ class Client:
 
     def release(self) -> None:
         """Let go of the robot; it stands until somebody takes it."""
-        if self._line.holds:
-            self._line.release()
+        if self._connection.holds:
+            self._connection.release()
 
     def close(self) -> None:
         """Release the robot and hang up."""
-        if self._ears.frames in connected:
-            connected.remove(self._ears.frames)
+        if self._subscriber.frames in connected:
+            connected.remove(self._subscriber.frames)
         with suppress(LiveError):
             self.release()
-        self._line.close()
-        self._ears.close()
+        self._connection.close()
+        self._subscriber.close()
 
     def __enter__(self) -> "Client":
         """Return the client."""

@@ -13,7 +13,7 @@ _ATTACHED = struct.Struct("<qqB16s")  # the 1 byte is the length of what follows
 MAC_SIZE = 16
 
 
-class Attached(NamedTuple):
+class MessageHeader(NamedTuple):
     """What comes with a message: its number from its sender on, when it was sent [ns], by whom (16 bytes)."""
 
     number: int
@@ -21,33 +21,33 @@ class Attached(NamedTuple):
     sender: bytes
 
 
-def attach(number: int, sender: bytes) -> bytes:
-    """Return the attachment of a message that is sent now."""
+def pack_header(number: int, sender: bytes) -> bytes:
+    """Return the header of a message that is sent now."""
     return _ATTACHED.pack(number, time.time_ns(), 16, sender)
 
 
-def attached(data: bytes) -> tuple[Attached, bytes]:
-    """Return what an attachment says, and what follows it: the message's authentication, or nothing.
+def unpack_header(data: bytes) -> tuple[MessageHeader, bytes]:
+    """Return what a header says, and what follows it: the message's authentication, or nothing.
 
     Raises:
         ValueError: it is none.
     """
     if len(data) not in (_ATTACHED.size, _ATTACHED.size + MAC_SIZE):
-        raise ValueError("not an attachment")
+        raise ValueError("not a header")
     number, sent_ns, length, sender = _ATTACHED.unpack_from(data)
     if length != 16:
-        raise ValueError("not an attachment")
-    return Attached(number, sent_ns, sender), data[_ATTACHED.size :]
+        raise ValueError("not a header")
+    return MessageHeader(number, sent_ns, sender), data[_ATTACHED.size :]
 
 
-def signed(token: str | None, nonce: bytes, key: str, attachment: bytes, payload: bytes) -> bytes:
-    """Return an attachment with the HMAC of its message behind it, where there is a token."""
-    return attachment if token is None else attachment + authentication(token, nonce, key, attachment, payload)
+def signed(token: str | None, nonce: bytes, key: str, header: bytes, payload: bytes) -> bytes:
+    """Return a header with the HMAC of its message behind it, where there is a token."""
+    return header if token is None else header + authentication(token, nonce, key, header, payload)
 
 
-def authentication(token: str, nonce: bytes, key: str, attachment: bytes, payload: bytes) -> bytes:
+def authentication(token: str, nonce: bytes, key: str, header: bytes, payload: bytes) -> bytes:
     """Return the HMAC of a message to the server that has drawn the nonce."""
     parts = hmac.new(token.encode(), digestmod=hashlib.sha256)
-    for part in (nonce, key.encode(), attachment, payload):
+    for part in (nonce, key.encode(), header, payload):
         parts.update(len(part).to_bytes(8, "little") + part)
     return parts.digest()[:MAC_SIZE]

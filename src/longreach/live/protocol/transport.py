@@ -1,4 +1,4 @@
-"""The network below: zenoh, told to find nobody by itself and to let in only who may come in.
+"""The network below: zenoh, set to find nobody by itself and to let in only who may come in.
 
 Only this machine can reach a server unless it is given certificates: on any other address it demands TLS, and of each
 client a certificate or the token. With a token nobody joins who does not know it (zenoh's own challenge with an HMAC,
@@ -84,8 +84,8 @@ def open_client(address: str, token: str | None, certificates: Path | None, time
             files |= {"connect_private_key": "client.key", "connect_certificate": "client.pem"}
             settings["transport/link/tls/enable_mtls"] = True
         settings |= _tls(certificates, files)
-    doubt = "wants another token or certificate" if token or certificates else "wants a token or a certificate"
-    return _opened(settings, f"No robot answers at {address}, or it {doubt}")
+    reason = "wants another token or certificate" if token or certificates else "wants a token or a certificate"
+    return _opened(settings, f"No robot answers at {address}, or it {reason}")
 
 
 _PRIORITIES = (
@@ -151,5 +151,5 @@ def _tls(folder: Path, files: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _password(token: str) -> str:
-    """Return what zenoh is told instead of the token itself, without characters that its files use."""
+    """Return what zenoh is given instead of the token itself, without characters that its files use."""
     return hmac.new(token.encode(), b"longreach session", hashlib.sha256).hexdigest()

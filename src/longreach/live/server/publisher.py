@@ -1,4 +1,4 @@
-"""What the robot says at each tick, as standard messages; `longreach.live.hearing` reads them again."""
+"""What the robot says at each tick, as standard messages; `longreach.live.client.subscriber` reads them again."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from longreach.app.goals import Follow
-from longreach.app.robot_side import Moment
+from longreach.app.robot_side import TickRecord
 from longreach.geometry import so3
 from longreach.io import messages
-from longreach.live import keys
-from longreach.live.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
-from longreach.live.keys import TYPES, Sensed, Topic
+from longreach.live.protocol import topics
+from longreach.live.protocol.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
+from longreach.live.protocol.topics import TYPES, Sensed, Topic
 from longreach.measurement import Odometry, WheelSpeeds
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
@@ -19,36 +19,36 @@ from longreach.sim.simulated import Truth
 Said = Iterator[tuple[Topic, Any]]
 
 
-def goal_name(moment: Moment) -> str:
+def goal_name(record: TickRecord) -> str:
     """Return what the robot does now: hold, direct, reach or follow."""
-    return type(moment.state.goal).__name__.lower()
+    return type(record.state.goal).__name__.lower()
 
 
-def state(robot: MobileManipulator, topics: Sensed, moment: Moment, truth: Truth | None) -> Said:
+def state(robot: MobileManipulator, sensed: Sensed, record: TickRecord, truth: Truth | None) -> Said:
     """Yield what makes a `LiveState`; the arm comes last and completes it."""
-    tick, stamp = moment.tick, moment.tick.stamp
-    newest = moment.state.localizer.belief()
+    tick, stamp = record.tick, record.tick.stamp
+    newest = record.state.localizer.belief()
     if robot.base.stop:
         twist, pose = newest.twist, tick.q[robot.base]
         said = Odometry(stamp, pose, twist, tick.covariance)
-        yield keys.WHEELS_ALONE, messages.odometry(TYPES, stamp, Odometry(stamp, moment.wheels))
-        yield keys.ESTIMATE, messages.odometry(TYPES, stamp, said, MAP)
+        yield topics.WHEELS_ALONE, messages.odometry(TYPES, stamp, Odometry(stamp, record.wheels))
+        yield topics.ESTIMATE, messages.odometry(TYPES, stamp, said, MAP)
     if truth is not None:
-        yield topics.truth, messages.pose_stamped(TYPES, stamp, truth.base)
-        yield keys.TOOL_TRUTH, messages.tool_pose(TYPES, stamp, truth.tool)
-    if isinstance(moment.state.goal, Follow):
-        yield keys.REFERENCE, messages.joint_state(TYPES, stamp, robot.joint_names, tick.q_reference)
-    names, position, velocity = _joints(robot, moment)
-    yield topics.arm, messages.joint_state(TYPES, stamp, names, position, velocity)
+        yield sensed.truth, messages.pose_stamped(TYPES, stamp, truth.base)
+        yield topics.TOOL_TRUTH, messages.tool_pose(TYPES, stamp, truth.tool)
+    if isinstance(record.state.goal, Follow):
+        yield topics.REFERENCE, messages.joint_state(TYPES, stamp, robot.joint_names, tick.q_reference)
+    names, position, velocity = _joints(robot, record)
+    yield sensed.arm, messages.joint_state(TYPES, stamp, names, position, velocity)
 
 
-def _joints(robot: MobileManipulator, moment: Moment) -> tuple[list[str], np.ndarray, np.ndarray]:
+def _joints(robot: MobileManipulator, record: TickRecord) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Return the arm's joints as estimated at the tick, and behind them those that were only measured."""
     arm = robot.joint_names[robot.arm]
-    names, position = list(arm), moment.tick.q[robot.arm]
-    velocity = moment.state.gate.velocity
-    if moment.readings.joints:
-        newest = moment.readings.joints[-1]
+    names, position = list(arm), record.tick.q[robot.arm]
+    velocity = record.state.gate.velocity
+    if record.readings.joints:
+        newest = record.readings.joints[-1]
         if len(newest.velocity) == len(newest.names):
             at = {name: i for i, name in enumerate(newest.names)}
             velocity = np.array([newest.velocity[at[n]] if n in at else 0.0 for n in arm])
@@ -59,54 +59,54 @@ def _joints(robot: MobileManipulator, moment: Moment) -> tuple[list[str], np.nda
     return names, position, velocity
 
 
-def sensors(robot: MobileManipulator, topics: Sensed, moment: Moment) -> Said:
+def sensors(robot: MobileManipulator, sensed: Sensed, record: TickRecord) -> Said:
     """Yield what was measured, each with its own stamp."""
-    readings, base = moment.readings, robot.description.base
+    readings, base = record.readings, robot.description.base
     for scan in readings.scans:
-        yield topics.scans, messages.laser_scan(TYPES, scan.stamp, scan)
+        yield sensed.scans, messages.laser_scan(TYPES, scan.stamp, scan)
     for wheels in readings.wheels:
         if isinstance(wheels, Odometry) or base is None:
             continue  # a driver's own odometry is in the estimate
         values = {"velocity": wheels.speeds} if isinstance(wheels, WheelSpeeds) else {"position": wheels.ticks}
-        yield topics.wheels, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
+        yield sensed.wheels, messages.joint_state(TYPES, wheels.stamp, base.wheel_names, **values)
     for imu in readings.imu:
-        yield topics.imu, messages.imu(TYPES, imu.stamp, imu)
+        yield sensed.imu, messages.imu(TYPES, imu.stamp, imu)
     for wrench in readings.wrenches:
-        yield topics.wrench, messages.wrench(TYPES, wrench.stamp, wrench)
+        yield sensed.wrench, messages.wrench(TYPES, wrench.stamp, wrench)
 
 
-def settled(moment: Moment) -> Said:
+def settled(record: TickRecord) -> Said:
     """Yield the rows of the estimate that nothing changes any more."""
-    for row in moment.tick.rows:
-        yield keys.SETTLED, messages.odometry(TYPES, row.stamp, Odometry(row.stamp, row.pose, None, row.covariance))
+    for row in record.tick.rows:
+        yield topics.SETTLED, messages.odometry(TYPES, row.stamp, Odometry(row.stamp, row.pose, None, row.covariance))
 
 
-def status(moment: Moment, values: Mapping[str, str]) -> Any:
+def status(record: TickRecord, values: Mapping[str, str]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray: how the loop is, whether it is stopped, and what else is to be said."""
-    stop, goal = moment.tick.stop, moment.state.goal
+    stop, goal = record.tick.stop, record.state.goal
     known = {
-        "goal": goal_name(moment),
-        "loop_time": f"{moment.loop_time:.6f}",
+        "goal": goal_name(record),
+        "loop_time": f"{record.loop_time:.6f}",
         "latched": str(int(stop is not None and stop.latched)),
         "progress": f"{goal.progress:.6f}" if isinstance(goal, Follow) else "",
     }
     KeyValue, Status = TYPES["diagnostic_msgs/msg/KeyValue"], TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
     level = 2 if stop is not None and stop.latched else int(stop is not None)  # ok, warn, error
     said = [KeyValue(key, value) for key, value in {**known, **values}.items()]
-    one = Status(level, "longreach", "" if stop is None else stop.reason, moment.state.robot.name, said)
-    header = messages.header(TYPES, moment.tick.stamp, "")
+    one = Status(level, "longreach", "" if stop is None else stop.reason, record.state.robot.name, said)
+    header = messages.header(TYPES, record.tick.stamp, "")
     return TYPES["diagnostic_msgs/msg/DiagnosticArray"](header, [one])
 
 
-def moving_frames(robot: MobileManipulator, moment: Moment) -> Any:
+def moving_frames(robot: MobileManipulator, record: TickRecord) -> Any:
     """Return a tf2_msgs/TFMessage of all that moves: map → odom → base_link, and the joints of the URDF."""
-    stamp, tick = moment.tick.stamp, moment.tick
-    names, positions, _ = _joints(robot, moment)
+    stamp, tick = record.tick.stamp, record.tick
+    names, positions, _ = _joints(robot, record)
     at = dict(zip(names, positions.tolist(), strict=True))
     stamped = []
     if robot.base.stop:
-        in_map = odom_in_map(tick.q[robot.base], moment.wheels)
-        for parent, child, pose in ((MAP, ODOM, in_map), (ODOM, BASE, moment.wheels)):
+        in_map = odom_in_map(tick.q[robot.base], record.wheels)
+        for parent, child, pose in ((MAP, ODOM, in_map), (ODOM, BASE, record.wheels)):
             T = np.eye(4)
             T[:2, 3], T[:3, :3] = pose[:2], so3.exp(np.array([0.0, 0.0, pose[2]]))
             stamped.append(_stamped(stamp, parent, child, T))

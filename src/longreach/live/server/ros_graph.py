@@ -7,7 +7,7 @@ topic, type, hash and qualities of service behind it; % stands for a slash or fo
 from collections.abc import Iterable
 from typing import Any
 
-from longreach.live.keys import Topic
+from longreach.live.protocol.topics import Topic
 
 _QUALITIES = "::,:,:,:,,"  # all as by default
 _NODE = "%/%/longreach"

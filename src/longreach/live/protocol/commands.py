@@ -10,7 +10,7 @@ from longreach.control.hardware import Command, GripperCommand
 from longreach.errors import LiveError
 from longreach.geometry import se3, so3
 from longreach.io import messages
-from longreach.live.keys import TYPES
+from longreach.live.protocol.topics import TYPES
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 

@@ -1,4 +1,4 @@
-"""Who comes in: every message of a client is checked here before anything believes it, and refusals are counted."""
+"""Who comes in: every message of a client is checked here before anything believes it, and rejections are counted."""
 
 import hmac
 import logging
@@ -7,24 +7,24 @@ from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from typing import Any
 
-from longreach.live.attachment import attached, authentication
-from longreach.live.keys import Topic
+from longreach.live.protocol.message_header import authentication, unpack_header
+from longreach.live.protocol.topics import Topic
 
 _LOG = logging.getLogger("longreach.live")
 _NUMBERS = 1024  # that are remembered, of senders on topics
 _QUIET = 1.0  # between two lines in the log about the same reason [s]; each says how many there were
 
 
-class Refused(Exception):
+class Rejected(Exception):
     """A message that is not accepted; its text is the reason, in a few words."""
 
 
 @dataclass
-class Refusals:
+class RejectionCounts:
     """How many messages were refused, by reason; each is logged, those that come in a flood together."""
 
     counts: Counter[str] = field(default_factory=Counter)
-    _told: dict[str, tuple[float, int]] = field(default_factory=dict)
+    _logged: dict[str, tuple[float, int]] = field(default_factory=dict)
 
     @property
     def total(self) -> int:
@@ -34,52 +34,52 @@ class Refusals:
     def count(self, reason: str, topic: str) -> None:
         """Count one more and log it."""
         self.counts[reason] += 1
-        when, told = self._told.get(reason, (-_QUIET, 0))
+        when, logged = self._logged.get(reason, (-_QUIET, 0))
         now = time.monotonic()
         if now - when >= _QUIET:
-            self._told[reason] = now, self.counts[reason]
-            new = self.counts[reason] - told
+            self._logged[reason] = now, self.counts[reason]
+            new = self.counts[reason] - logged
             _LOG.warning("Refused %d on %s: %s (%d so far).", new, topic, reason, self.counts[reason])
 
-    def tell_all(self) -> None:
+    def log_all(self) -> None:
         """Log what has not been logged yet."""
         for reason, total in self.counts.items():
-            if total > self._told.get(reason, (0.0, 0))[1]:
+            if total > self._logged.get(reason, (0.0, 0))[1]:
                 _LOG.warning("Refused %d in all: %s.", total, reason)
 
 
-class Door:
+class Authentication:
     """Lets in a message that is small enough, whole, authentic where there is a token, and new."""
 
-    def __init__(self, token: str | None, nonce: bytes, refusals: Refusals) -> None:
-        self._token, self._nonce, self.refusals = token, nonce, refusals
+    def __init__(self, token: str | None, nonce: bytes, rejections: RejectionCounts) -> None:
+        self._token, self._nonce, self.rejections = token, nonce, rejections
         self._numbers: OrderedDict[tuple[bytes, str], int] = OrderedDict()  # by sender and topic
 
     def admit(self, topic: Topic, sample: Any) -> tuple[bytes, Any]:
         """Return who sent a sample or query, and its message.
 
         Raises:
-            Refused: it is not let in.
+            Rejected: it is not let in.
         """
         payload = sample.payload
         if payload is None or len(payload) > topic.limit:
-            raise Refused("nothing in it" if payload is None else "too large")
-        data, attachment = bytes(payload), b"" if sample.attachment is None else bytes(sample.attachment)
+            raise Rejected("nothing in it" if payload is None else "too large")
+        data, header = bytes(payload), b"" if sample.attachment is None else bytes(sample.attachment)
         try:
-            about, mac = attached(attachment)
+            about, mac = unpack_header(header)
         except ValueError:
-            raise Refused("without an attachment") from None
+            raise Rejected("without a header") from None
         if self._token is not None:
-            signed = attachment[: len(attachment) - len(mac)]
+            signed = header[: len(header) - len(mac)]
             if not hmac.compare_digest(mac, authentication(self._token, self._nonce, topic.key, signed, data)):
-                raise Refused("not authentic")
+                raise Rejected("not authentic")
             # On one topic: messages of different topics may overtake each other, and the topic is authentic, too.
             if about.number <= self._numbers.get((about.sender, topic.key), -1):
-                raise Refused("repeated")
+                raise Rejected("repeated")
         try:
             message = topic.unpack(data)
         except Exception:
-            raise Refused("malformed") from None
+            raise Rejected("malformed") from None
         self._numbers[about.sender, topic.key] = about.number
         self._numbers.move_to_end((about.sender, topic.key))
         while len(self._numbers) > _NUMBERS:

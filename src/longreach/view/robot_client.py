@@ -14,8 +14,8 @@ Method = Literal["task-priority", "sqp"]
 
 
 @runtime_checkable
-class Commanded(Protocol):
-    """A robot to watch and to command. `state` has what `longreach.live.state.LiveState` has."""
+class RobotClient(Protocol):
+    """A robot to watch and to command. `state` has what `longreach.live.client.state.LiveState` has."""
 
     @property
     def robot(self) -> MobileManipulator:

@@ -7,7 +7,7 @@ from queue import SimpleQueue
 from threading import Thread
 
 from longreach.io.bag_writer import BagWriter, new_bag
-from longreach.live.keys import Topic
+from longreach.live.protocol.topics import Topic
 
 
 class Recorder:

@@ -16,12 +16,12 @@ import numpy as np
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Readings
 from longreach.io import records
-from longreach.live import keys, orders
-from longreach.live.attachment import attached
-from longreach.live.frames import Frames
-from longreach.live.keys import Sensed, Topic
-from longreach.live.link import zenoh
-from longreach.live.state import LiveState
+from longreach.live.client.state import LiveState
+from longreach.live.protocol import commands, topics
+from longreach.live.protocol.frames import Frames
+from longreach.live.protocol.message_header import unpack_header
+from longreach.live.protocol.topics import Sensed, Topic
+from longreach.live.protocol.transport import zenoh
 from longreach.measurement import LaserScan
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -49,11 +49,11 @@ class _Said(NamedTuple):
     status: Mapping[str, str]
 
 
-class Ears:
+class Subscriber:
     """Hears all that a robot says on a session, in its order; a state is put together when somebody asks for it."""
 
     def __init__(self, session: Any, robot: MobileManipulator) -> None:
-        self.robot, self.frames, self.topics = robot, Frames(robot), Sensed.of(robot.description)
+        self.robot, self.frames, self.sensed = robot, Frames(robot), Sensed.of(robot.description)
         self.scan: LaserScan | None = None
         self.plan: ConfigurationTrajectory | None = None
         self.status: dict[str, str] = {}
@@ -73,13 +73,13 @@ class Ears:
         self._session, self._senses = session, False
         self._waiting: SimpleQueue[Any] = SimpleQueue()
         Thread(target=self._hear, name="hearing", daemon=True).start()
-        parts = (keys.ESTIMATE, keys.WHEELS_ALONE, keys.TOOL_TRUTH, keys.REFERENCE, self.topics.truth)
+        parts = (topics.ESTIMATE, topics.WHEELS_ALONE, topics.TOOL_TRUTH, topics.REFERENCE, self.sensed.truth)
         takes = {topic: partial(self._parts.__setitem__, topic) for topic in parts}
         takes |= {
-            keys.STATUS: self._take_status,
-            keys.PLAN: self._take_plan,
-            self.topics.scans: self._take_scan,
-            self.topics.arm: self._take_arm,
+            topics.STATUS: self._take_status,
+            topics.PLAN: self._take_plan,
+            self.sensed.scans: self._take_scan,
+            self.sensed.arm: self._take_arm,
         }
         self._declared = [self._subscribe(topic, take) for topic, take in takes.items()]
 
@@ -91,11 +91,11 @@ class Ears:
         """Hear what wheels, IMU and wrench say, too, from now on; most clients need not."""
         if self._senses:
             return
-        self._senses, robot, topics = True, self.robot.description, self.topics
+        self._senses, robot, sensed = True, self.robot.description, self.sensed
         makes: dict[str, tuple[Topic, Callable[[Any], Any]]] = {
-            "wheels": (topics.wheels, lambda message: (records.wheels(message, robot) or (False, None))[1]),
-            "imu": (topics.imu, records.imu),
-            "wrenches": (topics.wrench, records.wrench),
+            "wheels": (sensed.wheels, lambda message: (records.wheels(message, robot) or (False, None))[1]),
+            "imu": (sensed.imu, records.imu),
+            "wrenches": (sensed.wrench, records.wrench),
         }
         for kind, (topic, make) in makes.items():
             self._declared.append(self._subscribe(topic, partial(self._take_reading, kind, topic, make)))
@@ -106,7 +106,7 @@ class Ears:
             self._waiting.put((time.time_ns(), topic, take, sample))
 
     def _hear(self) -> None:
-        """Take what has arrived in its order, whatever topic it is of, until the line is closed."""
+        """Take what has arrived in its order, whatever topic it is of, until the connection is closed."""
         while (item := self._waiting.get()) is not None:
             came, topic, take, sample = item
             try:
@@ -121,8 +121,8 @@ class Ears:
     def _take(self, came: int, topic: Topic, take: Callable[[bytes], None], sample: Any) -> None:
         """Take a message. Whatever it raises: it is none, too large, or does not say what it should."""
         if len(sample.payload) > topic.limit or sample.attachment is None:
-            raise ValueError("too large, or without an attachment")
-        about, _ = attached(bytes(sample.attachment))
+            raise ValueError("too large, or without a header")
+        about, _ = unpack_header(bytes(sample.attachment))
         self.delays.append(1e-9 * (came - about.sent_ns))
         before = self._numbers.get(about.sender)
         if before is not None:
@@ -135,17 +135,17 @@ class Ears:
         self._waiting.put(None)
 
     def _take_status(self, payload: bytes) -> None:
-        one = keys.STATUS.unpack(payload).status[0]
+        one = topics.STATUS.unpack(payload).status[0]
         with self.changed:
             self.status = {item.key: item.value for item in one.values} | {"stop": one.message}
             self.changed.notify_all()
 
     def _take_plan(self, payload: bytes) -> None:
-        self.plan = orders.trajectory(keys.PLAN.unpack(payload), self.robot)
+        self.plan = commands.trajectory(topics.PLAN.unpack(payload), self.robot)
 
     def _take_scan(self, payload: bytes) -> None:
         self._take_reading(
-            "scans", self.topics.scans, lambda m: records.laser_scan(m, self.robot.description.lidar), payload
+            "scans", self.sensed.scans, lambda m: records.laser_scan(m, self.robot.description.lidar), payload
         )
         self.scan = scan = self._new["scans"][-1]
         _call(self.on_scan, scan)
@@ -154,14 +154,14 @@ class Ears:
         message = topic.unpack(payload)
         made = make(message)
         if made is not None:
-            self._new[kind].append(made(stamp=orders.stamp_of(message)))
+            self._new[kind].append(made(stamp=commands.stamp_of(message)))
 
     def _take_arm(self, payload: bytes) -> None:
         """Close a tick: the arm's message is the last of it. What was lost of it makes it none."""
         tick = {topic: part for topic, part in self._parts.items() if part[_STAMP] == payload[_STAMP]}
-        if self.robot.base.stop and not {keys.ESTIMATE, keys.WHEELS_ALONE} <= tick.keys():
+        if self.robot.base.stop and not {topics.ESTIMATE, topics.WHEELS_ALONE} <= tick.keys():
             return
-        tick[self.topics.arm] = payload
+        tick[self.sensed.arm] = payload
         said = _Said(tick, self.status)
         seconds, rest = struct.unpack("<iI", payload[_STAMP])
         self.frames.add(seconds + 1e-9 * rest, lambda: self._made(said))
@@ -170,12 +170,12 @@ class Ears:
             self.changed.notify_all()
         if self._senses:
             make = partial(records.joints, robot=self.robot.description)
-            self._take_reading("joints", self.topics.arm, make, payload)
+            self._take_reading("joints", self.sensed.arm, make, payload)
         if self.on_state and (state := self.state) is not None:
             _call(self.on_state, state)
 
     @property
-    def told(self) -> Mapping[str, str]:
+    def tick_status(self) -> Mapping[str, str]:
         """What the status said at the newest tick."""
         return {} if self._newest is None else self._newest.status
 
@@ -187,12 +187,12 @@ class Ears:
             try:
                 state = self._made(said)
             except Exception:
-                self._cannot_use(self.topics.arm)
+                self._cannot_use(self.sensed.arm)
             self._known = said, state
         return state
 
     def _made(self, said: _Said) -> LiveState:
-        return made_state(self.robot, self.topics, said.payloads, said.status)
+        return made_state(self.robot, self.sensed, said.payloads, said.status)
 
     def readings(self, stamp: float) -> Readings:
         """Return what has come since the last call."""
@@ -209,29 +209,29 @@ class Ears:
 
 
 def made_state(
-    robot: MobileManipulator, topics: Sensed, payloads: Mapping[Topic, bytes], status: Mapping[str, str]
+    robot: MobileManipulator, sensed: Sensed, payloads: Mapping[Topic, bytes], status: Mapping[str, str]
 ) -> LiveState:
     """Return the state that the payloads of one tick, and the newest status, make; what is wrong raises something."""
     said = {topic: topic.unpack(payload) for topic, payload in payloads.items()}
-    arm, names = said[topics.arm], robot.joint_names[robot.arm]
-    stamp = orders.stamp_of(arm)
+    arm, names = said[sensed.arm], robot.joint_names[robot.arm]
+    stamp = commands.stamp_of(arm)
     joints = dict(zip(arm.name, arm.position.tolist(), strict=True))
     speeds = dict(zip(arm.name, arm.velocity.tolist(), strict=True))
     q, v = (np.array([values[name] for name in names]) for values in (joints, speeds))
     covariance, wheels = np.zeros((3, 3)), np.zeros(3)
     if robot.base.stop:
-        make, alone = records.odometry(said[keys.ESTIMATE]), records.odometry(said[keys.WHEELS_ALONE])
+        make, alone = records.odometry(said[topics.ESTIMATE]), records.odometry(said[topics.WHEELS_ALONE])
         if make is None or alone is None:
             raise ValueError("an odometry that says nothing")
         odometry, wheels = make(stamp=stamp), alone(stamp=stamp).pose
         covariance = covariance if odometry.pose_covariance is None else odometry.pose_covariance
         q, v = np.concatenate([odometry.pose, q]), np.concatenate([odometry.twist, v])
-    truth, tool, reference = (said.get(topic) for topic in (topics.truth, keys.TOOL_TRUTH, keys.REFERENCE))
+    truth, tool, reference = (said.get(topic) for topic in (sensed.truth, topics.TOOL_TRUTH, topics.REFERENCE))
     known = None if truth is None else records.stamped_pose(truth)
     return LiveState(
         stamp, q, v, covariance, wheels,
         truth=None if known is None else known[0],
-        tool_truth=None if tool is None else orders.tool(tool),
+        tool_truth=None if tool is None else commands.tool(tool),
         joints=joints,
         reference=q if reference is None else np.array(reference.position),
         progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),

@@ -1,8 +1,8 @@
 """A process that gives signs of life for a client whose own Python may be busy for longer than a robot waits.
 
 A garbage collection, a compilation or a long computation in one process lets none of its threads run; the robot would
-take the client for gone. This process has nothing else to do. It is told by a pipe that the client lives: a client that
-is killed has closed it, and one that was halted, or has said nothing for `PATIENCE`, is not spoken for.
+take the client for gone. This process has nothing else to do. It learns from a pipe that the client lives: a
+client that is killed has closed it, and one that was halted, or has said nothing for `PATIENCE`, is not spoken for.
 """
 
 import json
@@ -16,8 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from longreach.live import link
-from longreach.live.attachment import attach, signed
+from longreach.live.protocol import transport
+from longreach.live.protocol.message_header import pack_header, signed
 
 BEAT = 0.02  # between two signs of life [s]
 PATIENCE = 2.0  # with a client that says nothing, but runs [s]; ours
@@ -25,18 +25,18 @@ _LIVES, _RESTS, _READY = b"+", b"-", b"!"
 _HALTED = ("T", "t", "Z", "X")  # states of a process in Linux' /proc that does not run on by itself
 
 
-class Pulse:
-    """The client's end of the pipe. told: what `main` needs to know: where, the token, key, payload and sender."""
+class Heartbeat:
+    """The client's end of the pipe. settings: what `main` needs to know: where, the token, key, payload and sender."""
 
-    def __init__(self, told: dict[str, Any]) -> None:
-        start = f"import sys; sys.path[:] = {sys.path!r}; from longreach.live.pulse import main; main()"
+    def __init__(self, settings: dict[str, Any]) -> None:
+        start = f"import sys; sys.path[:] = {sys.path!r}; from longreach.live.client.heartbeat import main; main()"
         self._process = subprocess.Popen(
             [sys.executable, "-c", start], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._to, self._from, self._ready = self._process.stdin, self._process.stdout, False
-        self._to.write(json.dumps(told).encode() + b"\n")
+        self._to.write(json.dumps(settings).encode() + b"\n")
         for pipe in (self._to, self._from):
             os.set_blocking(pipe.fileno(), False)
 
@@ -69,21 +69,21 @@ def main() -> None:
     """Be the process: connect, and give signs of life while the client does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is the client's to decide what an interrupt ends
     pipe = sys.stdin.buffer.raw  # type: ignore[attr-defined]
-    told, client = json.loads(_line(pipe)), os.getppid()
+    settings, client = json.loads(_line(pipe)), os.getppid()
     heard = [time.monotonic()]
     threading.Thread(target=_listen, args=(pipe, heard), daemon=True).start()
-    link.PROTOCOL, token, key = told["protocol"], told["token"], told["key"]
-    certificates = None if told["certificates"] is None else Path(told["certificates"])
-    session = link.open_client(told["address"], token, certificates, told["timeout"])
-    payload, nonce, sender = (bytes.fromhex(told[name]) for name in ("payload", "nonce", "sender"))
+    transport.PROTOCOL, token, key = settings["protocol"], settings["token"], settings["key"]
+    certificates = None if settings["certificates"] is None else Path(settings["certificates"])
+    session = transport.open_client(settings["address"], token, certificates, settings["timeout"])
+    payload, nonce, sender = (bytes.fromhex(settings[name]) for name in ("payload", "nonce", "sender"))
     sys.stdout.buffer.write(_READY)
     sys.stdout.flush()
     while os.getppid() == client:
         time.sleep(BEAT)
         if time.monotonic() - heard[0] < PATIENCE and not _halted(client):
-            attachment = attach(time.monotonic_ns(), sender)
-            with suppress(link.zenoh().ZError):  # the connection is down: it comes back by itself
-                session.put(key, payload, attachment=signed(token, nonce, key, attachment, payload), express=True)
+            header = pack_header(time.monotonic_ns(), sender)
+            with suppress(transport.zenoh().ZError):  # the connection is down: it comes back by itself
+                session.put(key, payload, attachment=signed(token, nonce, key, header, payload), express=True)
 
 
 def _line(pipe: Any) -> bytes:

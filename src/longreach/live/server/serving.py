@@ -8,7 +8,7 @@ import numpy as np
 
 from longreach.app import robot_side
 from longreach.app.configuration import EstimateConfig
-from longreach.app.goals import Direct, Follow, Reach
+from longreach.app.goals import Follow, ServoGoal, VelocityGoal
 from longreach.app.operated import simulated
 from longreach.app.paced import Paced
 from longreach.app.tracker import TrackerConfig
@@ -17,15 +17,26 @@ from longreach.control.hardware import Command, Hardware
 from longreach.control.safety_config import SafetyConfig
 from longreach.control.ticker import Ticker
 from longreach.errors import ConfigError
-from longreach.live import telling
-from longreach.live.door import Refusals
-from longreach.live.keys import Sensed
-from longreach.live.recorder import recording
-from longreach.live.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
+from longreach.io.config import description_file, to_yaml
+from longreach.io.robots import load_robot
+from longreach.live.protocol.topics import Sensed
+from longreach.live.server import publisher
+from longreach.live.server.authentication import RejectionCounts
+from longreach.live.server.recorder import recording
+from longreach.live.server.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Simulated
 
 _REHEARSED = 60  # ticks
+
+
+def described(robot: str) -> tuple[str, str]:
+    """Return the YAML of a robot's description, given by its name or a file, and its URDF or an empty text."""
+    path = Path(robot) if robot.endswith(".urdf") else description_file(robot)
+    description = load_robot(robot).description
+    arm = description.arm
+    urdf = "" if arm is None or arm.urdf is None else (path.parent / arm.urdf).read_text(encoding="utf-8")
+    return to_yaml(description), urdf
 
 
 def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = True) -> TrackerConfig:
@@ -49,18 +60,20 @@ def rehearse(robot: MobileManipulator, kind: str = "kinematic") -> None:
     with suppress(ConfigError):  # it cannot be simulated
         body = simulated(kind, robot, "laboratory", 0)
         still = ConfigurationTrajectory(np.array([0.0, 0.1]), np.stack([robot.home, robot.home]))
-        goals = iter([Follow(still, 0.0), Reach(robot.forward(robot.home)), Direct(Command(0.0, np.zeros(6)), 0.0)])
-        moments: list[robot_side.Moment] = []
+        goals = iter(
+            [Follow(still, 0.0), ServoGoal(robot.forward(robot.home)), VelocityGoal(Command(0.0, np.zeros(6)), 0.0)]
+        )
+        records: list[robot_side.TickRecord] = []
 
         def orders(now: float) -> robot_side.Orders:
-            return robot_side.Orders(goal=next(goals, None) if len(moments) % 4 == 3 else None)
+            return robot_side.Orders(goal=next(goals, None) if len(records) % 4 == 3 else None)
 
         robot_side.run(
-            body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, moments.append,
-            lambda: "The rehearsal is over." if len(moments) > _REHEARSED else "", tracker_config(body, robot),
+            body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, records.append,
+            lambda: "The rehearsal is over." if len(records) > _REHEARSED else "", tracker_config(body, robot),
         )  # fmt: skip
         for topic, message in [
-            m for moment in moments for m in telling.state(robot, Sensed.of(robot.description), moment, body.truth())
+            m for record in records for m in publisher.state(robot, Sensed.of(robot.description), record, body.truth())
         ]:
             topic.pack(message)
 
@@ -75,7 +88,7 @@ def serve(
     *,
     record: Path | None = None,
     scans: bool = True,
-    refusals: Refusals | None = None,
+    rejections: RejectionCounts | None = None,
     ready: Callable[[Server], None] = lambda server: None,
 ) -> Ticker:
     """Serve a robot until `ended` says why it shall end; wait_until: None paces a simulated one to the wall's time.
@@ -91,7 +104,7 @@ def serve(
         wait_until = Paced(hardware)
     settings = tracker_config(hardware, robot, scans)
     with recording(record) as recorder:
-        server = Server(robot, description, config, settings, truth, recorder, refusals)
+        server = Server(robot, description, config, settings, truth, recorder, rejections)
         try:
             ready(server)
             return robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)

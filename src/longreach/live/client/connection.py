@@ -1,6 +1,7 @@
-"""The line from a client to a robot: sends, asks and gets answers, gives signs of life, compares clocks."""
+"""The connection from a client to a robot: sends, asks and gets answers, gives signs of life, compares clocks."""
 
 import secrets
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable
@@ -9,26 +10,31 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
 
+import yaml
+
 from longreach.errors import LiveError
 from longreach.io import messages
-from longreach.live import keys, link, orders
-from longreach.live.attachment import attach, attached, signed
-from longreach.live.keys import TYPES, Topic
-from longreach.live.pulse import BEAT, Pulse
+from longreach.io.config import validated
+from longreach.live.client.heartbeat import BEAT, Heartbeat
+from longreach.live.protocol import commands, topics, transport
+from longreach.live.protocol.message_header import pack_header, signed, unpack_header
+from longreach.live.protocol.topics import TYPES, Topic
+from longreach.robot.description import RobotDescription
+from longreach.robot.mobile_manipulator import MobileManipulator
 
 _ANSWER = 2.0  # for how long an answer is waited for [s]
-_DOUBT = 2.0  # for how long we believe that we hold the robot where it does not say so [s]
+_UNCONFIRMED = 2.0  # for how long we believe that we hold the robot where it does not say so [s]
 _PINGS, _PING_EVERY = 20, 1.0  # of how many the fastest tells the offset of the clocks; from one to the next [s]
 
 
-class Line:
+class Connection:
     """A connection with a robot."""
 
     def __init__(self, address: str, token: str | None, certificates: Path | None, timeout: float) -> None:
-        self.session = link.open_client(address, token, certificates, timeout)
-        self._where = {"address": address, "token": token, "timeout": timeout, "protocol": link.PROTOCOL}
+        self.session = transport.open_client(address, token, certificates, timeout)
+        self._where = {"address": address, "token": token, "timeout": timeout, "protocol": transport.PROTOCOL}
         self._where["certificates"] = None if certificates is None else str(certificates)
-        self._pulse: Pulse | None = None
+        self._heartbeat: Heartbeat | None = None
         self.sender, self._token, self._nonce, self._number = secrets.token_bytes(16), token, b"", 0
         self._lock, self._closed = Lock(), Event()
         self._pings: deque[tuple[float, float]] = deque(maxlen=_PINGS)  # how long each took, and the offset [s]
@@ -59,7 +65,7 @@ class Line:
             sample = reply.ok
             if sample is None or len(sample.payload) > topic.limit or sample.attachment is None:
                 continue
-            self._nonce = attached(bytes(sample.attachment))[0].sender
+            self._nonce = unpack_header(bytes(sample.attachment))[0].sender
             return topic.unpack(bytes(sample.payload))
         return None
 
@@ -77,13 +83,13 @@ class Line:
         """
         payload = topic.pack(message)
         with self._lock:
-            attachment = self._signed(topic, payload)
-            replies = self.session.get(topic.key, payload=payload, attachment=attachment, timeout=_ANSWER)
+            header = self._signed(topic, payload)
+            replies = self.session.get(topic.key, payload=payload, attachment=header, timeout=_ANSWER)
         sent()
         for reply in replies:
-            if reply.ok is None or len(reply.ok.payload) > keys.ORDER.limit:
+            if reply.ok is None or len(reply.ok.payload) > topics.ORDER.limit:
                 continue
-            answer = keys.ORDER.unpack(bytes(reply.ok.payload)).data
+            answer = topics.ORDER.unpack(bytes(reply.ok.payload)).data
             if answer.startswith("refused: "):
                 raise LiveError(answer.removeprefix("refused: "))
             return answer
@@ -101,7 +107,7 @@ class Line:
             self.holds = True
 
         try:
-            self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), sent)
+            self.ask(topics.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), sent)
         except LiveError:
             self.holds = False
             raise
@@ -109,30 +115,30 @@ class Line:
     def release(self) -> None:
         """Let go of the robot, and give no more signs of life."""
         self.holds = False
-        if self._pulse is not None:
-            self._pulse.rest()
+        if self._heartbeat is not None:
+            self._heartbeat.rest()
         self.order("release")
 
     def order(self, words: str) -> str:
         """Ask for what a few words say."""
-        return self.ask(keys.ORDER, TYPES["std_msgs/msg/String"](words))
+        return self.ask(topics.ORDER, TYPES["std_msgs/msg/String"](words))
 
     def _signed(self, topic: Topic, payload: bytes) -> bytes:
-        """Return the attachment of a payload; numbers are of the machine's clock, as those of our pulse are."""
+        """Return the header of a payload; numbers are of the machine's clock, as those of our heartbeat are."""
         self._number = max(self._number + 1, time.monotonic_ns())
-        attachment = attach(self._number, self.sender)
-        return signed(self._token, self._nonce, topic.key, attachment, payload)
+        header = pack_header(self._number, self.sender)
+        return signed(self._token, self._nonce, topic.key, header, payload)
 
     def ping(self) -> None:
         """Compare the clocks once: ours halfway between question and answer is the robot's in the answer."""
         header, Time = messages.header(TYPES, time.time(), ""), TYPES["builtin_interfaces/msg/Time"]
         asked = TYPES["sensor_msgs/msg/TimeReference"](header, Time(header.stamp.sec, header.stamp.nanosec), "client")
         sent = time.time()
-        for reply in self.session.get(keys.CLOCK.key, payload=keys.CLOCK.pack(asked), timeout=_ANSWER):
+        for reply in self.session.get(topics.CLOCK.key, payload=topics.CLOCK.pack(asked), timeout=_ANSWER):
             if reply.ok is not None:
                 took = time.time() - sent
-                answer = keys.CLOCK.unpack(bytes(reply.ok.payload))
-                self._pings.append((took, orders.stamp_of(answer) - (sent + 0.5 * took)))
+                answer = topics.CLOCK.unpack(bytes(reply.ok.payload))
+                self._pings.append((took, commands.stamp_of(answer) - (sent + 0.5 * took)))
 
     def _compare_clocks(self) -> None:
         while not self._closed.wait(_PING_EVERY):
@@ -144,21 +150,21 @@ class Line:
             now = time.monotonic()
             if self.confirmed():
                 self._sure = now
-            if self.holds and now - self._sure > _DOUBT:
+            if self.holds and now - self._sure > _UNCONFIRMED:
                 self.holds = False
             if self.holds and not self._beats_by_itself():
-                self._quietly(lambda: self.send(keys.HEARTBEAT, messages.header(TYPES, self.now, "")))
-            elif self._pulse is not None and not self.holds:
-                self._pulse.rest()
+                self._quietly(lambda: self.send(topics.HEARTBEAT, messages.header(TYPES, self.now, "")))
+            elif self._heartbeat is not None and not self.holds:
+                self._heartbeat.rest()
 
     def _beats_by_itself(self) -> bool:
         """Whether our pulse, a process that has nothing else to do, gives the signs of life."""
-        if self._pulse is None:
-            payload = keys.HEARTBEAT.pack(messages.header(TYPES, 0.0, ""))
-            told = {"payload": payload.hex(), "nonce": self._nonce.hex(), "sender": self.sender.hex()}
+        if self._heartbeat is None:
+            payload = topics.HEARTBEAT.pack(messages.header(TYPES, 0.0, ""))
+            known = {"payload": payload.hex(), "nonce": self._nonce.hex(), "sender": self.sender.hex()}
             with suppress(OSError):  # it cannot be started here
-                self._pulse = Pulse({**self._where, **told, "key": keys.HEARTBEAT.key})
-        return self._pulse is not None and self._pulse.beat()
+                self._heartbeat = Heartbeat({**self._where, **known, "key": topics.HEARTBEAT.key})
+        return self._heartbeat is not None and self._heartbeat.beat()
 
     def _quietly(self, do: Any) -> None:
         """Do what may fail while the connection is down: it comes back by itself."""
@@ -174,6 +180,23 @@ class Line:
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * _ANSWER)
-        if self._pulse is not None:
-            self._pulse.close()
+        if self._heartbeat is not None:
+            self._heartbeat.close()
         self.session.close()
+
+
+def read_description(connection: Connection) -> MobileManipulator:
+    """Return the robot that a server describes.
+
+    Raises:
+        LiveError: it describes none.
+    """
+    description, urdf = connection.lasting(topics.DESCRIPTION), connection.lasting(topics.URDF)
+    if description is None or urdf is None:
+        raise LiveError("The robot does not describe itself; is this a longreach server?")
+    model = validated(RobotDescription, yaml.safe_load(description.data), "the robot's description")
+    with tempfile.TemporaryDirectory() as folder:
+        if model.arm is not None and model.arm.urdf is not None:  # wherever the server has it, not there
+            model = model.model_copy(update={"arm": model.arm.model_copy(update={"urdf": "robot.urdf"})})
+            (Path(folder) / "robot.urdf").write_text(urdf.data, encoding="utf-8")
+        return MobileManipulator.from_description(model, Path(folder))

@@ -1,0 +1,1 @@
+"""What server and client share: topics, message headers, frames, commands as messages, and the transport."""

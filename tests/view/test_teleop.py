@@ -1,0 +1,75 @@
+"""What the page's buttons, keys and gizmo ask of a client."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from longreach.view.replay import read_run
+from longreach.view.teleop import Teleop
+
+
+@pytest.fixture
+def teleop(server, pretender, tmp_path):
+    return Teleop(server, pretender, tmp_path)
+
+
+def until(condition, limit=10.0):
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_drag_shows_a_plan_that_brings_the_tool_only_when_it_is_run(teleop, pretender):
+    q = pretender.state.q
+    teleop.gizmo.position = pretender.robot.forward(q)[:3, 3] + [0.0, 0.0, 0.1]
+    teleop._dragged(SimpleNamespace(phase="end"))
+    until(lambda: teleop.plan is not None and not teleop.run_button.disabled)
+    ((method, T),) = pretender.orders
+    assert method == "task-priority"
+    np.testing.assert_allclose(T[:3, 3], teleop.gizmo.position, atol=1e-9)
+    np.testing.assert_allclose(T[:3, :3], pretender.robot.forward(q)[:3, :3], atol=1e-6)
+    assert np.array_equal(pretender.state.q, q)
+    goal = teleop.plan.q[-1]
+    teleop.run()
+    until(lambda: np.allclose(pretender.state.q, goal))
+    assert teleop.plan is None
+    assert teleop.run_button.disabled
+
+
+def test_a_drag_that_follows_at_once_reaches(teleop, pretender):
+    teleop._drag.value = "follow at once"
+    teleop._dragged(SimpleNamespace(phase="update"))
+    assert pretender.orders[0][0] == "reach"
+
+
+def test_a_key_drives_and_letting_go_of_it_holds(teleop, pretender, running):
+    running(teleop.loop)
+    teleop.drive("I")
+    until(lambda: ("hold", None) in pretender.orders)
+    twists = [twist for order, twist in pretender.orders if order == "velocity"]
+    np.testing.assert_allclose(twists[0], [0.3, 0.0, 0.0])
+
+
+def test_a_session_that_was_recorded_is_shown_again(teleop, pretender, tmp_path):
+    teleop.record()
+    teleop.drive("I")
+    time.sleep(0.3)
+    teleop.record()
+    (written,) = tmp_path.glob("session-*.mcap")
+    assert written.stat().st_size > 1000
+    assert read_run(written, "thing").robot.name == "thing"
+
+
+def test_a_plan_that_does_not_exist_is_told_and_nothing_is_shown(teleop, pretender):
+    from longreach.errors import PlanningError
+
+    def refuse(goal, method):
+        raise PlanningError("There is no way there.")
+
+    pretender.plan = refuse
+    teleop._dragged(SimpleNamespace(phase="end"))
+    until(lambda: not teleop._busy)
+    assert teleop.plan is None
