@@ -83,7 +83,7 @@ def test_velocities_move_base_and_arm_and_end_by_themselves(client):
         time.sleep(0.02)
     assert client.holds
     assert client.state.holder == "the first"
-    assert client.state.goal == "direct"
+    assert client.state.goal == "velocity"
     until(lambda: client.state.goal == "hold")
     moved = client.state.q - before
     assert moved[0] > 0.05

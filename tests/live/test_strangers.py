@@ -121,7 +121,7 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
     for reason in ("malformed", "without a header", "too large"):
         assert reason in served.output
     client.velocity(base=np.array([0.1, 0.0, 0.0]))  # it still does what it is asked for by whom it should
-    until(lambda: client.state.goal == "direct")
+    until(lambda: client.state.goal == "velocity")
     session.close()
 
 

@@ -21,7 +21,6 @@ from longreach.control.safety_checks import Stop
 from longreach.control.ticker import Ticker
 from longreach.robot.mobile_manipulator import MobileManipulator
 
-_FORGOTTEN = 2.0  # a client that is gone for so long is not waited for [s]; ours
 _THERE, _LATE = 0.005, 3.0  # so near is a plan's end reached [rad, m], and so long is it waited for at most [s]; ours
 
 
@@ -56,7 +55,7 @@ class TickRecord(NamedTuple):
 def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[TrackerState, Command, Tick]:
     """Take the orders and do one tick."""
     now, gate = readings.stamp, state.gate
-    goal = _carried_on(state, orders, now) if orders.goal is None else orders.goal  # a Hold is empty, and so false
+    goal = _carried_on(state, now) if orders.goal is None else orders.goal  # a Hold is empty, and so false
     if orders.reset:
         gate = safety.reset(gate)
     if orders.stop:
@@ -65,11 +64,9 @@ def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[Track
     return tracker.step(replace(state, goal=goal, gate=gate), readings, heartbeat, orders.gripper)
 
 
-def _carried_on(state: TrackerState, orders: Orders, now: float) -> Goal:
+def _carried_on(state: TrackerState, now: float) -> Goal:
     """Return what to do where nothing new was asked for: the same, as long as there is a reason to."""
     goal = state.goal
-    if orders.heartbeat is not None and now - orders.heartbeat > _FORGOTTEN:
-        return Hold()
     if isinstance(goal, VelocityGoal):
         fresh = now - goal.stamp <= state.config.safety.command_timeout
         return goal._replace(command=None) if fresh else Hold()

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from longreach.app.configuration import EstimateConfig
-from longreach.app.goals import Follow, Goal, desired_command
+from longreach.app.goals import Follow, Goal, Hold, desired_command
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
@@ -141,8 +141,15 @@ def step(
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
     base_due = max(state.base_due + state.base_period, now) if due else state.base_due
     tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop, estimated.rows)
+    if gate.stop is not None and _ends_goal(gate.stop, now, gate.config):
+        goal = Hold()
     after = replace(state, goal=goal, stamp=now, arm=arm, localizer=where, gate=gate, base_due=base_due)
     return after, command, tick
+
+
+def _ends_goal(stop: Stop, now: float, config: SafetyConfig) -> bool:
+    """Return whether a stop ends what the robot was asked for: it never goes on by itself but after a short halt."""
+    return stop.latched or stop.cause == "client gone" or now - stop.since > config.command_timeout
 
 
 def sensed(readings: Readings) -> list[Reading]:
@@ -216,7 +223,7 @@ def run(
     rows: list[Row] = []
     reason = "interrupted"
     try:
-        while not state.ended:
+        while not state.ended and isinstance(state.goal, Follow):
             wait_until(rhythm.due)
             readings = hardware.read()
             rhythm, began = ticker.tick(rhythm, readings.stamp), time.perf_counter()
@@ -228,8 +235,6 @@ def run(
             kept.append(readings)
             if watch is not None:
                 watch(tick, state.goal.progress if isinstance(state.goal, Follow) else 0.0)
-            if tick.stop is not None and tick.stop.latched:
-                break
         reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
     finally:
         hardware.stop(reason or "The plan has ended.")

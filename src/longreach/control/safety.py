@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.control import _limit_kernels
-from longreach.control.hardware import ArmMode, Command, Readings
+from longreach.control.hardware import ArmMode, Command, GripperCommand, Readings
 from longreach.control.safety_checks import (
     Health,
     Stop,
@@ -102,6 +102,8 @@ def step(
         at_rest = arm if desired.arm_mode == "position" and arm is not None else np.zeros(len(velocity))
         desired = desired._replace(arm=at_rest, base=np.zeros(3))
     gripper = within(config, command.gripper) if command is not None and stop is None else None
+    if stop is not None and stop.since == now and config.gripper:
+        gripper = GripperCommand("velocity", 0.0)  # the fingers stay where they are, and keep what they hold
     stamp = now if math.isfinite(now) else state.stamp
     out = Command(
         stamp,

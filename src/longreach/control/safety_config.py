@@ -84,6 +84,7 @@ class SafetyConfig(_Settings):
     divergence_streak: int = Field(
         default=15, ge=1, description="Measurements of one source above it in a row that mean divergence; ours."
     )
+    gripper: bool = Field(default=False, description="Whether there are fingers, which a stop halts.")
     gripper_velocity: _Positive = Field(default=1.0, description="Top speed of the fingers [1/s]; ours.")
     gripper_force: _Positive = Field(default=60.0, description="Force at the tips [N]; the Robotiq 3-finger's.")
 
@@ -129,7 +130,7 @@ def limits_of(capabilities: Capabilities, config: SafetyConfig | None = None) ->
         ControlError: the robot does not say how fast or how hard a joint may move.
     """
     config = config or SafetyConfig()
-    changes: dict[str, ArmLimits | BaseLimits] = {}
+    changes: dict[str, ArmLimits | BaseLimits | bool] = {"gripper": config.gripper or capabilities.gripper}
     limits = capabilities.arm_limits
     if config.arm is None and capabilities.arm_names:
         for name, speed, hardest in zip(capabilities.arm_names, limits.velocity, limits.acceleration, strict=True):

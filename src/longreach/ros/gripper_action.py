@@ -31,8 +31,13 @@ def closing_angle(robot: MobileManipulator) -> float:
     return float(np.max(Hand.of(robot).closed, initial=0.0))
 
 
-def goal_of(command: GripperCommand, angle: float) -> tuple[float, float]:
-    """Return position [rad] and effort [N] of the goal that does what a command says, as near as it can: no speed."""
+def goal_of(command: GripperCommand, angle: float, closed: float) -> tuple[float, float]:
+    """Return position [rad] and effort [N] of the goal that does what a command says, as near as it can: no speed.
+
+    closed: how far the fingers are closed now, 0 to 1; a speed of 0 keeps them there.
+    """
+    if command.mode == "velocity" and command.value == 0.0:
+        return angle * closed, 0.0
     if command.mode == "position":
         return angle * min(max(command.value, 0.0), 1.0), 0.0
     closing = angle if command.value > 0.0 else 0.0

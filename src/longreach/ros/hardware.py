@@ -74,8 +74,8 @@ class RosHardware:
     """
 
     def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
-        self._hand, self._angle = Hand.of(robot), closing_angle(robot)
-        self._promises = replace(capabilities_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
+        self._hand, self._angle, self._closed = Hand.of(robot), closing_angle(robot), 0.0
+        self._capabilities = replace(capabilities_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
         self._interface: ArmInterface = arm
         self._sensors = Sensors(robot.description, _ROLES)
         self._q: np.ndarray | None = None
@@ -84,9 +84,9 @@ class RosHardware:
         self._written: float | None = None  # on the monotonic clock [s]; None: the robot stands
         self._button = wire.listen(EMERGENCY_STOP, (BOOL,), self._press, wire.complain)
         kind = _TRAJECTORY if arm == "trajectory" else NUMBERS
-        self._arm = wire.Publisher(f"{controller}/command", kind) if self._promises.arm_names else None
-        self._base = None if self._promises.base_velocity is None else wire.Publisher(base, TWIST)
-        self._fingers = publisher() if self._promises.gripper else None
+        self._arm = wire.Publisher(f"{controller}/command", kind) if self._capabilities.arm_names else None
+        self._base = None if self._capabilities.base_velocity is None else wire.Publisher(base, TWIST)
+        self._fingers = publisher() if self._capabilities.gripper else None
         self._cancel = wire.Publisher(f"{controller}/follow_joint_trajectory/cancel", "actionlib_msgs/msg/GoalID")
         wire.before_the_end(lambda: self.stop("The process ends."))
         self._closed = threading.Event()
@@ -95,7 +95,7 @@ class RosHardware:
     @property
     def capabilities(self) -> Capabilities:
         """What the robot can do: as its description says."""
-        return self._promises
+        return self._capabilities
 
     def wait(self, timeout: float, scans: bool) -> None:
         """Wait until the robot speaks and listens [at most `timeout` s].
@@ -118,7 +118,7 @@ class RosHardware:
         """Return everything that has arrived since the last call."""
         readings = replace(self._sensors.take().readings, emergency_stop=self._pressed)
         for record in reversed(readings.joints):
-            where = places(record.names, self._promises.arm_names)
+            where = places(record.names, self._capabilities.arm_names)
             if where is not None and np.isfinite(record.position[where]).all():
                 self._q = record.position[where]
                 break
@@ -128,8 +128,9 @@ class RosHardware:
         """Return how far the fingers are closed, where their joints were told."""
         for record in reversed(readings.joints):
             where = places(record.names, self._hand.names)
-            if self._promises.gripper and where is not None and len(record.velocity) == len(record.names):
+            if self._capabilities.gripper and where is not None and len(record.velocity) == len(record.names):
                 closed, speed = (float(self._hand.share @ x[where]) for x in (record.position, record.velocity))
+                self._closed = closed
                 return GripperState(record.stamp, closed, speed)
         return None
 
@@ -139,10 +140,10 @@ class RosHardware:
         Raises:
             ControlError: numbers that are not finite, or not one for each joint, or a mode that the arm does not take.
         """
-        for part, value, count in (("arm", command.arm, len(self._promises.arm_names)), ("base", command.base, 3)):
+        for part, value, count in (("arm", command.arm, len(self._capabilities.arm_names)), ("base", command.base, 3)):
             if value is not None and not (len(value) == count and np.isfinite(value).all()):
                 raise ControlError(f"The {part} takes {count} finite numbers, but the command has {value}.")
-        if command.arm is not None and command.arm_mode not in self._promises.arm_modes:
+        if command.arm is not None and command.arm_mode not in self._capabilities.arm_modes:
             raise ControlError(
                 f"The arm's {self._interface} controller takes no {command.arm_mode}; connect with another `arm`."
             )
@@ -152,7 +153,7 @@ class RosHardware:
             self._written = time.monotonic()
             self._send(command.base, command.arm, command.arm_mode)
             if command.gripper is not None and self._fingers is not None:
-                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle)))
+                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle, self._closed)))
 
     def stop(self, reason: str) -> None:
         """Cancel whatever moves the arm, and let base and arm stand."""
@@ -175,7 +176,7 @@ class RosHardware:
 
     def _watch(self) -> None:
         """Let the robot stand where nothing was written for too long."""
-        timeout = self._promises.timeout
+        timeout = self._capabilities.timeout
         while not self._closed.wait(timeout / 5.0):
             with self._lock:
                 if self._written is not None and time.monotonic() - self._written > timeout:
@@ -183,11 +184,11 @@ class RosHardware:
 
     def _stand(self) -> None:
         """Let base and arm stand; positions hold by themselves, a trajectory without points is ros_control's stop."""
-        numbers = np.zeros(len(self._promises.arm_names)) if self._interface == "velocity" else None
+        numbers = np.zeros(len(self._capabilities.arm_names)) if self._interface == "velocity" else None
         self._send(np.zeros(3), numbers, "velocity")
         if self._interface == "trajectory" and self._arm is not None:
             types = wire.message_types()
-            self._arm.send(types[_TRAJECTORY](messages.header(types, 0.0, ""), list(self._promises.arm_names), []))
+            self._arm.send(types[_TRAJECTORY](messages.header(types, 0.0, ""), list(self._capabilities.arm_names), []))
         self._written = self._aim = None
 
     def _send(self, base: np.ndarray | None, arm: np.ndarray | None, mode: ArmMode) -> None:
@@ -214,10 +215,10 @@ class RosHardware:
 
     def _trajectory(self, q: Float[np.ndarray, " n"], arm: Float[np.ndarray, " n"], mode: ArmMode) -> Any:
         """Return a trajectory from q: to a position within a tick, or on with a velocity and then to rest."""
-        types, none, limits = wire.message_types(), np.zeros(0), self._promises.arm_limits
+        types, none, limits = wire.message_types(), np.zeros(0), self._capabilities.arm_limits
         Point, Duration = types["trajectory_msgs/msg/JointTrajectoryPoint"], types["builtin_interfaces/msg/Duration"]
         if mode == "position":
-            rows = [(1.0 / self._promises.arm_rate, arm, np.zeros(len(arm)))]
+            rows = [(1.0 / self._capabilities.arm_rate, arm, np.zeros(len(arm)))]
         else:
             rows = [
                 (_AHEAD, q + _AHEAD * arm, arm),
@@ -228,7 +229,7 @@ class RosHardware:
             for after, position, velocity in rows
         ]
         header = messages.header(types, 0.0, "")  # without a stamp: from now on
-        return types[_TRAJECTORY](header, list(self._promises.arm_names), points)
+        return types[_TRAJECTORY](header, list(self._capabilities.arm_names), points)
 
     def _press(self, message: Any) -> None:
         self._pressed = bool(message.data)

@@ -74,7 +74,7 @@ class Simulation:
         self.robot, self.config = robot, config or PhysicsConfig()
         world = world if isinstance(world, World) else load_world(world)
         self.world = world if floor is None else world.with_floor(floor)
-        self._promises = capabilities_of(robot, self.config.timeout)
+        self._capabilities = capabilities_of(robot, self.config.timeout)
         self._motion = Motion(robot, self.world, robot.home if q is None else q, self.config.stiffness)
         self._pictures, self._stopped, self._glimpses = Pictures(self._motion.model), "", []
         self._fit_sensors(seed)
@@ -83,7 +83,7 @@ class Simulation:
     @property
     def capabilities(self) -> Capabilities:
         """What the robot can do: as its description says."""
-        return self._promises
+        return self._capabilities
 
     @property
     def stamp(self) -> float:

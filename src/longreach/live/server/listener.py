@@ -1,7 +1,7 @@
 """What clients ask of a robot, and who of them holds it: from the network's threads to the loop's."""
 
 import logging
-import time
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,7 +10,7 @@ from typing import Any
 
 from longreach.app.goals import Follow, Goal, Hold, ServoGoal, VelocityGoal
 from longreach.app.robot_side import Orders, TickRecord
-from longreach.app.tracker import check_plan
+from longreach.app.tracker import TrackerConfig, check_plan
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, GripperCommand
 from longreach.errors import LiveError, LongreachError
@@ -21,6 +21,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LOG = logging.getLogger("longreach.live")
 _FORGOTTEN = 2.0  # a client that is gone for so long holds the robot no more [s]; ours
+_STREAM_AGE, _ANSWER_AGE = 0.25, 2.0  # beyond which a command, or a question, does nothing [s]; the driver's, ours
 _OURS = 0.05  # of the time between two ticks that counts as silence [s]: beyond it the loop itself was late; ours
 
 
@@ -49,7 +50,10 @@ class Holder:
 
 
 class Listener:
-    """Hears what clients send on a session. record: returns what the loop did last, None before its first tick."""
+    """Receives what clients send on a session.
+
+    record: returns what the loop did last, None before its first tick; clock: the time on the robot's clock [s].
+    """
 
     def __init__(
         self,
@@ -57,11 +61,12 @@ class Listener:
         robot: MobileManipulator,
         authentication: Authentication,
         record: Callable[[], TickRecord | None],
-        before: float,
+        clock: Callable[[], float],
+        config: TrackerConfig,
     ) -> None:
-        self._robot, self._authentication, self._record, self._before = robot, authentication, record, before
-        self._lock, self._asked = Lock(), _Asked()
-        self.holder, self._taken = Holder(), time.monotonic()
+        self._robot, self._authentication, self._record, self._config = robot, authentication, record, config
+        self._clock, self._lock, self._asked = clock, Lock(), _Asked()
+        self.holder, self._taken, self._missed = Holder(), math.inf, -math.inf
         self.plan: ConfigurationTrajectory | None = None
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
         streams = {
@@ -81,12 +86,15 @@ class Listener:
         """Return what was asked for since the last call, at a time of the robot's clock [s]."""
         with self._lock:
             asked, self._asked, self.plans = self._asked, _Asked(), self._given
-            holder, since, self._taken = self.holder, time.monotonic() - self._taken, time.monotonic()
+            holder, since, self._taken = self.holder, max(now - self._taken, 0.0), now
             holder.silent = 0.0 if holder.heard else holder.silent + min(since, _OURS)
             holder.heard = False
+            if holder.sender and holder.silent > (self._config.safety.heartbeat_timeout or math.inf):
+                self._missed = now
             if holder.sender and holder.silent > _FORGOTTEN:
                 _LOG.warning("%s was not heard for %.1f s and holds the robot no more.", holder.name, holder.silent)
                 holder = self.holder = Holder()
+                asked = _Asked(Hold(), stop=asked.stop)
         goal = asked.goal if asked.direct is None else VelocityGoal(asked.direct, min(asked.direct.stamp, now))
         heartbeat = now - holder.silent if holder.sender else None
         return Orders(goal, asked.gripper, asked.stop, asked.reset, heartbeat)
@@ -96,6 +104,8 @@ class Listener:
         try:
             sender, message = self._authentication.admit(topic, sample)
             self._check_holder(sender)
+            if topic is not topics.HEARTBEAT:  # whose stamp is not filled in
+                self._check_age(message, _STREAM_AGE)
             take(message)
         except Exception as rejection:
             self._reject(rejection, topic)
@@ -124,6 +134,14 @@ class Listener:
             if holder.sender != sender:
                 raise Rejected("from a client that does not hold the robot")
             holder.heard = True
+
+    def _check_age(self, message: Any, most: float) -> None:
+        """Refuse what was on its way for too long, or was sent before the robot has missed its client."""
+        stamp = commands.stamp_of(message)
+        if self._clock() - stamp > most:
+            raise Rejected(f"older than {most:g} s")
+        if stamp < self._missed:
+            raise Rejected("sent before the client was missed")
 
     def _set(self, **asked: Any) -> None:
         with self._lock:
@@ -158,7 +176,7 @@ class Listener:
         elif word == "hold":
             self._set(goal=Hold())
         elif word == "reset":
-            self._set(reset=True)
+            self._set(goal=Hold(), reset=True)  # what came before it does not count after it
         else:
             raise Rejected("an unknown order")
         return ""
@@ -174,6 +192,7 @@ class Listener:
     def _execute(self, sender: bytes, message: Any) -> str:
         """Let the robot follow a trajectory; the answer is the plan's number."""
         self._check_holder(sender)
+        self._check_age(message, _ANSWER_AGE)
         record = self._record()
         if record is None:
             raise LiveError("The robot is not ready yet.")
@@ -183,5 +202,5 @@ class Listener:
         check_plan(self._robot, plan, record.tick.q, record.state.config)
         with self._lock:
             self.plan, self._given = plan, self._given + 1
-            self._asked.goal, self._asked.direct = Follow(plan, -self._before), None
+            self._asked.goal, self._asked.direct = Follow(plan, -self._config.before), None
             return f"plan {self._given}"

@@ -20,8 +20,8 @@ Said = Iterator[tuple[Topic, Any]]
 
 
 def goal_name(record: TickRecord) -> str:
-    """Return what the robot does now: hold, direct, reach or follow."""
-    return type(record.state.goal).__name__.lower()
+    """Return what the robot does now: hold, velocity, servo or follow."""
+    return type(record.state.goal).__name__.lower().removesuffix("goal")
 
 
 def state(robot: MobileManipulator, sensed: Sensed, record: TickRecord, truth: Truth | None) -> Said:

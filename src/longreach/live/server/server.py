@@ -76,7 +76,7 @@ class Server:
         self.rejections = rejections or RejectionCounts()
         self._session = open_server(config.address, config.token, config.certificates)
         authentication = Authentication(config.token, self._nonce, self.rejections)
-        self._listener = Listener(self._session, robot, authentication, lambda: self._record, tracker.before)
+        self._listener = Listener(self._session, robot, authentication, lambda: self._record, lambda: self.now, tracker)
         z = zenoh()
         self._publishers = {
             topic: self._session.declare_publisher(
