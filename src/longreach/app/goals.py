@@ -34,10 +34,14 @@ class ServoGoal(NamedTuple):
 
 
 class Follow(NamedTuple):
-    """Follow a plan of all joints, of which `at` [s] have passed; negative before it begins."""
+    """Follow a plan of all joints, of which `at` [s] have passed; negative before it begins.
+
+    rate: how fast its time passes, 1 where nothing holds the robot back.
+    """
 
     plan: ConfigurationTrajectory
     at: float
+    rate: float = 1.0
 
     @property
     def progress(self) -> float:
@@ -59,7 +63,7 @@ def desired_command(
         return goal.command, q
     if isinstance(goal, Follow):
         q_reference, velocity, _ = sample(goal.plan, float(goal.plan.stamps[0]) + goal.at)
-        desired = whole_body.step(robot, config, q, whole_body.Reference(q_reference, velocity))
+        desired = whole_body.step(robot, config, q, whole_body.Reference(q_reference, goal.rate * velocity))
     else:
         standing = whole_body.DesiredVelocity(np.zeros(len(q) - robot.base.stop), np.zeros(3))
         desired = standing if isinstance(goal, Hold) else whole_body.reach(robot, config, q, goal.tool)

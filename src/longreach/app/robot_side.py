@@ -59,9 +59,10 @@ def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[Track
     if orders.reset:
         gate = safety.reset(gate)
     if orders.stop:
-        gate, goal = replace(gate, stop=Stop("emergency stop", orders.stop, now, True)), Hold()
+        gate = replace(gate, stop=Stop("emergency stop", orders.stop, now, True))
     heartbeat = now if orders.heartbeat is None else orders.heartbeat  # where nobody holds the robot nobody is missed
-    return tracker.step(replace(state, goal=goal, gate=gate), readings, heartbeat, orders.gripper)
+    why = state.why if orders.goal is None else ""
+    return tracker.step(replace(state, goal=goal, gate=gate, why=why), readings, heartbeat, orders.gripper)
 
 
 def _carried_on(state: TrackerState, now: float) -> Goal:

@@ -31,6 +31,8 @@ from longreach.localization import localizer
 from longreach.localization.localizer import LocalizerState, Reading, Row
 from longreach.robot.mobile_manipulator import MobileManipulator
 
+_HALT = 0.25  # a stop that lasts longer ends the goal [s]; as long as a command counts
+_BLOCKED, _BLOCKED_PART = 2.0, 0.02  # so long [s] may an obstacle leave less than this part of the speed; ours
 _WAIT_FOR_JOINTS = 2.0  # [s] until a robot says where its arm is
 
 
@@ -64,7 +66,10 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerState:
-    """The loop's memory, and what the robot is asked to do, which may be exchanged between two ticks."""
+    """The loop's memory, and what the robot is asked to do, which may be exchanged between two ticks.
+
+    blocked: since when an obstacle holds up the plan [s]; why: why the goal before ended early, empty where it did not.
+    """
 
     robot: MobileManipulator
     config: TrackerConfig
@@ -75,6 +80,8 @@ class TrackerState:
     gate: SafetyState
     base_period: float
     base_due: float
+    blocked: float | None = None
+    why: str = ""
 
     @property
     def ended(self) -> bool:
@@ -98,7 +105,7 @@ def init(
     config, capabilities = config or TrackerConfig(), hardware.capabilities
     if isinstance(goal, Follow):
         check_plan(robot, goal.plan, q, config)
-    gate = safety.init(limits_of(capabilities, config.safety), now, q[robot.arm])
+    gate = safety.init(limits_of(capabilities, config.safety), now, q[robot.arm], robot)
     pose = q[robot.base] if robot.base.stop else np.zeros(3)
     where = localizer.init(robot.description, config.estimate, pose)
     return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / capabilities.base_rate, now)
@@ -128,28 +135,39 @@ def step(
     arm = _arm(state, readings)
     q = np.concatenate([belief.pose[: robot.base.stop], arm])
 
-    if isinstance(goal, Follow) and state.gate.stop is None:  # the plan's clock stands while the robot is stopped
-        goal = goal._replace(at=goal.at + (now - state.stamp))
+    if isinstance(goal, Follow):  # the plan's clock stands while the robot is stopped, and slows down before obstacles
+        around = state.gate.obstacles
+        rate = 0.0 if state.gate.stop is not None else 1.0 if around is None else around.part
+        goal = goal._replace(at=goal.at + rate * (now - state.stamp), rate=rate)
     desired, q_reference = desired_command(goal, robot, config.whole_body, q, now)  # sample the plan, correct
     if gripper is not None:
         desired = Command(now, gripper=gripper) if desired is None else replace(desired, gripper=gripper)
 
-    health = Health(tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused"), heartbeat)
+    innovations = tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused")
+    health = Health(innovations, heartbeat, belief.pose)
     gate, command = safety.step(state.gate, desired, readings, health, now)  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
     base_due = max(state.base_due + state.base_period, now) if due else state.base_due
     tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop, estimated.rows)
-    if gate.stop is not None and _ends_goal(gate.stop, now, gate.config):
-        goal = Hold()
     after = replace(state, goal=goal, stamp=now, arm=arm, localizer=where, gate=gate, base_due=base_due)
-    return after, command, tick
+    return _ended_early(after), command, tick
 
 
-def _ends_goal(stop: Stop, now: float, config: SafetyConfig) -> bool:
-    """Return whether a stop ends what the robot was asked for: it never goes on by itself but after a short halt."""
-    return stop.latched or stop.cause == "client gone" or now - stop.since > config.command_timeout
+def _ended_early(state: TrackerState) -> TrackerState:
+    """Return the state without a goal that must not go on by itself: after a stop, or in front of an obstacle."""
+    stop, around, now = state.gate.stop, state.gate.obstacles, state.stamp
+    blocked = around is not None and around.part < _BLOCKED_PART and isinstance(state.goal, Follow) and stop is None
+    since = (state.blocked or now) if blocked else None
+    why = ""
+    if stop is not None and (stop.latched or stop.cause == "client gone" or now - stop.since > _HALT):
+        why = stop.reason
+    elif around is not None and since is not None and now - since > _BLOCKED:
+        why = f"{around.reason} The plan has waited {_BLOCKED:g} s for it to go."
+    if not why:
+        return replace(state, blocked=since)
+    return replace(state, goal=Hold(), blocked=None, why=state.why if isinstance(state.goal, Hold) else why)
 
 
 def sensed(readings: Readings) -> list[Reading]:
@@ -235,7 +253,7 @@ def run(
             kept.append(readings)
             if watch is not None:
                 watch(tick, state.goal.progress if isinstance(state.goal, Follow) else 0.0)
-        reason = "" if state.ended else state.gate.stop.reason if state.gate.stop else ""
+        reason = state.why
     finally:
         hardware.stop(reason or "The plan has ended.")
     return Run(ticks, kept, [*rows, *localizer.settled(state.localizer).rows], rhythm, reason)

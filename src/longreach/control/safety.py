@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.control import _limit_kernels
+from longreach.control import _limit_kernels, obstacles
 from longreach.control.hardware import ArmMode, Command, GripperCommand, Readings
+from longreach.control.obstacles import ObstacleState
 from longreach.control.safety_checks import (
     Health,
     Stop,
@@ -29,6 +30,8 @@ from longreach.control.safety_checks import (
     within,
 )
 from longreach.control.safety_config import SafetyConfig
+from longreach.geometry import se2
+from longreach.robot.mobile_manipulator import MobileManipulator
 
 
 class DesiredVelocity(NamedTuple):
@@ -57,16 +60,27 @@ class SafetyState:
     watch: Watch
     stop: Stop | None = None
     limited: bool = False
+    obstacles: ObstacleState | None = None
 
 
-def init(config: SafetyConfig, now: float, q: Float[np.ndarray, " n"] | None = None) -> SafetyState:
-    """Start with the robot at rest; q (n,) [rad]: where the arm is, None: joint states will say so."""
+def init(
+    config: SafetyConfig,
+    now: float,
+    q: Float[np.ndarray, " n"] | None = None,
+    robot: MobileManipulator | None = None,
+) -> SafetyState:
+    """Start with the robot at rest.
+
+    q (n,) [rad]: where the arm is, None: joint states will say so; robot: whose laser shows what its base has to mind.
+    """
     joints = len(config.arm_arrays[0])
     zero, twist = np.zeros(joints), np.zeros(3)
     if joints == 0:
         q = zero
     desired = DesiredVelocity(zero, twist, now, now)
-    return SafetyState(config, now, None if q is None else np.array(q), zero, twist, desired, Watch(now, {}, {}))
+    q = None if q is None else np.array(q)
+    minded = obstacles.init(robot, q) if robot is not None and config.obstacles else None
+    return SafetyState(config, now, q, zero, twist, desired, Watch(now, {}, {}), obstacles=minded)
 
 
 def reset(state: SafetyState) -> SafetyState:
@@ -95,6 +109,12 @@ def step(
     # A position is reached within the arm's period, however long this tick was: a step is no longer than that allows.
     arm_dt = min(elapsed, config.arm.period) if config.arm is not None and desired.arm_mode == "position" else elapsed
     velocity, twist, limited = _moved(state, desired, q, stop is not None, arm_dt, elapsed)
+    around = state.obstacles
+    if around is not None:
+        pose = se2.compose(around.pose, se2.exp(elapsed * state.twist)) if health.pose is None else health.pose
+        around = obstacles.step(around, readings.scans, q, pose, state.twist, now)
+        if stop is None:
+            around, twist = _before_obstacles(config, around, state.twist, desired.base, twist, elapsed)
     arm: np.ndarray | None = velocity
     if desired.arm_mode == "position":
         q = arm = None if q is None else _not_beyond(config, q, q + velocity * arm_dt)
@@ -112,7 +132,7 @@ def step(
         None if config.base is None else twist,
         gripper,
     )
-    return SafetyState(config, stamp, q, velocity, twist, desired, seen, stop, limited), out
+    return SafetyState(config, stamp, q, velocity, twist, desired, seen, stop, limited, around), out
 
 
 def _place(state: SafetyState, readings: Readings, dt: float, now: float) -> np.ndarray | None:
@@ -187,3 +207,26 @@ def _moved(
         v = np.zeros(3) if stopping else desired.base
         held |= _limit_kernels.limit(v, state.twist, dt, config.longest_tick, v_max, a_max, room, room, twist)
     return velocity, twist, held and not stopping
+
+
+def _before_obstacles(
+    config: SafetyConfig,
+    around: ObstacleState,
+    before: Float[np.ndarray, "3"],
+    desired: Float[np.ndarray, "3"],
+    twist: Float[np.ndarray, "3"],
+    dt: float,
+) -> tuple[ObstacleState, Float[np.ndarray, "3"]]:
+    """Return the twist (3,) to send instead of one, so that the base can stop before what the laser has seen."""
+    v_max, a_max, room = config.base_arrays
+    fastest = desired / max(float(np.max(np.abs(desired) / v_max)), 1.0)
+    part, nearest = obstacles.limited(around, fastest, a_max)
+    if nearest is not None:
+        twist = np.empty(3)
+        _limit_kernels.limit(part * fastest, before, dt, config.longest_tick, v_max, a_max, room, room, twist)
+    if nearest is not None or not np.array_equal(twist, fastest):  # it is on its way from another twist
+        left, other = obstacles.limited(around, twist, a_max)
+        if other is not None and left < 1.0:
+            part, nearest, twist = min(part, left), other, np.empty(3)
+            _limit_kernels.limit(np.zeros(3), before, dt, config.longest_tick, v_max, a_max, room, room, twist)
+    return replace(around, part=part, nearest=nearest), twist

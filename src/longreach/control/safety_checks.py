@@ -34,10 +34,14 @@ class Innovation(NamedTuple):
 
 
 class Health(NamedTuple):
-    """What is known of the estimate and of the client: new innovations, and when the client was heard last [s]."""
+    """What is known of the estimate and of the client: new innovations, and when the client was heard last [s].
+
+    pose (3,): where the base is, in a frame that stands still and does not jump; None: as it was commanded.
+    """
 
     innovations: tuple[Innovation, ...] = ()
     heartbeat: float | None = None
+    pose: Float[np.ndarray, "3"] | None = None
 
 
 class Watch(NamedTuple):

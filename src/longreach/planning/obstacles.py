@@ -1,6 +1,5 @@
 """What stands in the way: discs on the floor, boxes and capsules, and how far a segment is from them."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,8 @@ from longreach.errors import PlanningError
 from longreach.planning import _distance_kernels as kernels
 from longreach.planning.task import target_array
 from longreach.reference import check_rigid
+from longreach.robot.footprint import capsule_of
 from longreach.robot.mobile_manipulator import MobileManipulator
-from longreach.robot.urdf import Shape
 
 _ENDLESS = 100.0  # [m], half the length of what has no end
 _UP = np.array([0.0, 0.0, 1.0])
@@ -113,22 +112,8 @@ def link_capsules(robot: MobileManipulator) -> tuple[LinkCapsule, ...]:
     first = robot.base.stop
     moved = [name for name, frame in robot.chain.frames.items() if frame.joints > first and name in robot.urdf.links]
     return tuple(
-        LinkCapsule(name, capsule)
+        LinkCapsule(name, Capsule(*capsule_of(shape)))
         for name in moved
         for shape in robot.urdf.links[name].collisions
-        for capsule in _around(shape)
+        if shape.kind != "mesh"
     )
-
-
-def _around(shape: Shape) -> Iterator[Capsule]:
-    if shape.kind == "mesh":
-        return
-    R, p = shape.T_link_shape[:3, :3], shape.T_link_shape[:3, 3]
-    along, radius = np.zeros(3), shape.size[0]
-    if shape.kind == "cylinder":
-        along[2] = 0.5 * shape.size[1]
-    elif shape.kind == "box":
-        longest = int(np.argmax(shape.size))
-        along[longest] = 0.5 * shape.size[longest]
-        radius = 0.5 * float(np.linalg.norm(np.delete(shape.size, longest)))
-    yield Capsule(p - R @ along, p + R @ along, radius)

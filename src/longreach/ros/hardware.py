@@ -74,7 +74,7 @@ class RosHardware:
     """
 
     def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
-        self._hand, self._angle, self._closed = Hand.of(robot), closing_angle(robot), 0.0
+        self._hand, self._angle, self._gripped_to = Hand.of(robot), closing_angle(robot), 0.0
         self._capabilities = replace(capabilities_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
         self._interface: ArmInterface = arm
         self._sensors = Sensors(robot.description, _ROLES)
@@ -130,7 +130,7 @@ class RosHardware:
             where = places(record.names, self._hand.names)
             if self._capabilities.gripper and where is not None and len(record.velocity) == len(record.names):
                 closed, speed = (float(self._hand.share @ x[where]) for x in (record.position, record.velocity))
-                self._closed = closed
+                self._gripped_to = closed
                 return GripperState(record.stamp, closed, speed)
         return None
 
@@ -153,7 +153,7 @@ class RosHardware:
             self._written = time.monotonic()
             self._send(command.base, command.arm, command.arm_mode)
             if command.gripper is not None and self._fingers is not None:
-                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle, self._closed)))
+                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle, self._gripped_to)))
 
     def stop(self, reason: str) -> None:
         """Cancel whatever moves the arm, and let base and arm stand."""

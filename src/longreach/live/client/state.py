@@ -22,6 +22,8 @@ class LiveState:
     loop_time [s]: what the last tick computed. stop: why the safety gate stops the robot, empty where it does not;
     latched: whether it stays so until `reset`. holder: the name of the client that commands it, empty where none does.
     refused: how many messages the robot has refused so far, whoever sent them.
+    why: why the last goal has ended early. limited: what the laser sees that slows the base down. minds_obstacles:
+    whether it is slowed down at all.
     """
 
     stamp: float
@@ -41,3 +43,6 @@ class LiveState:
     latched: bool = False
     holder: str = ""
     refused: int = 0
+    why: str = ""
+    limited: str = ""
+    minds_obstacles: bool = False

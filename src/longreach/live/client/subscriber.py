@@ -237,5 +237,6 @@ def made_state(
         progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
         goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
         stop=status.get("stop", ""), latched=status.get("latched") == "1",
-        holder=status.get("holder", ""), refused=int(status.get("refused") or 0),
+        holder=status.get("holder", ""), refused=int(status.get("refused") or 0), why=status.get("why", ""),
+        limited=status.get("limit", ""), minds_obstacles=bool(status.get("obstacles")),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from longreach.app.robot_side import Orders, TickRecord
 from longreach.app.tracker import TrackerConfig, check_plan
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, GripperCommand
+from longreach.control.obstacles import met_by
 from longreach.errors import LiveError, LongreachError
 from longreach.live.protocol import commands, topics
 from longreach.live.protocol.topics import TYPES, Topic
@@ -200,6 +201,9 @@ class Listener:
             raise LiveError(f"The robot is stopped: {record.tick.stop.reason} Reset it first.")
         plan = commands.trajectory(message, self._robot)
         check_plan(self._robot, plan, record.tick.q, record.state.config)
+        around = record.state.gate.obstacles
+        if around is not None and (met := met_by(around, plan)):
+            raise LiveError(f"{met} Plan another way, or let the laser look again.")
         with self._lock:
             self.plan, self._given = plan, self._given + 1
             self._asked.goal, self._asked.direct = Follow(plan, -self._config.before), None

@@ -83,12 +83,15 @@ def settled(record: TickRecord) -> Said:
 
 def status(record: TickRecord, values: Mapping[str, str]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray: how the loop is, whether it is stopped, and what else is to be said."""
-    stop, goal = record.tick.stop, record.state.goal
+    stop, goal, around = record.tick.stop, record.state.goal, record.state.gate.obstacles
     known = {
         "goal": goal_name(record),
         "loop_time": f"{record.loop_time:.6f}",
         "latched": str(int(stop is not None and stop.latched)),
         "progress": f"{goal.progress:.6f}" if isinstance(goal, Follow) else "",
+        "why": record.state.why,
+        "obstacles": "" if around is None else "minded",
+        "limit": "" if around is None else around.reason,
     }
     KeyValue, Status = TYPES["diagnostic_msgs/msg/KeyValue"], TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
     level = 2 if stop is not None and stop.latched else int(stop is not None)  # ok, warn, error

@@ -136,7 +136,11 @@ class Server:
     def _say_status(self, record: TickRecord, now: float) -> None:
         """Say how the loop is, from time to time, and at once where something else than a number has changed."""
         holder, stop = self._listener.holder, record.tick.stop
-        what = f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {stop and stop.cause}"
+        around, ended = record.state.gate.obstacles, record.state.why
+        limited = around is not None and around.nearest is not None
+        what = (
+            f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {stop and stop.cause} {ended} {limited}"
+        )
         if what == self._status and now < self._status_due:
             return
         self._status, self._status_due = what, now + _STATUS_EVERY - 1e-6
