@@ -15,7 +15,7 @@ from jaxtyping import Float
 from longreach.app import tracker
 from longreach.app.goals import Follow, Goal, Hold, VelocityGoal
 from longreach.app.tracker import Tick, TrackerConfig, TrackerState
-from longreach.control import safety, ticker
+from longreach.control import base_contact, safety, ticker
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
 from longreach.control.safety_checks import Stop
 from longreach.control.ticker import Ticker
@@ -56,13 +56,16 @@ def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[Track
     """Take the orders and do one tick."""
     now, gate = readings.stamp, state.gate
     goal = _carried_on(state, now) if orders.goal is None else orders.goal  # a Hold is empty, and so false
+    contact = state.contact
     if orders.reset:
-        gate = safety.reset(gate)
+        gate, contact = safety.reset(gate), base_contact.NOTHING
     if orders.stop:
         gate = replace(gate, stop=Stop("emergency stop", orders.stop, now, True))
     heartbeat = now if orders.heartbeat is None else orders.heartbeat  # where nobody holds the robot nobody is missed
     why = state.why if orders.goal is None else ""
-    return tracker.step(replace(state, goal=goal, gate=gate, why=why), readings, heartbeat, orders.gripper)
+    return tracker.step(
+        replace(state, goal=goal, gate=gate, contact=contact, why=why), readings, heartbeat, orders.gripper
+    )
 
 
 def _carried_on(state: TrackerState, now: float) -> Goal:

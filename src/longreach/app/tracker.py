@@ -18,7 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.app.configuration import EstimateConfig
 from longreach.app.goals import Follow, Goal, Hold, desired_command
 from longreach.configuration import ConfigurationTrajectory
-from longreach.control import safety, ticker
+from longreach.control import base_contact, safety, ticker
+from longreach.control.base_contact import ContactState
 from longreach.control.hardware import Command, GripperCommand, Hardware, Readings
 from longreach.control.safety import SafetyState
 from longreach.control.safety_checks import Health, Innovation, Stop, places
@@ -27,6 +28,7 @@ from longreach.control.ticker import Ticker
 from longreach.control.whole_body import WholeBodyConfig
 from longreach.errors import ControlError
 from longreach.estimation.planar.state import Correction
+from longreach.geometry import se2
 from longreach.localization import localizer
 from longreach.localization.localizer import LocalizerState, Reading, Row
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -68,6 +70,7 @@ class Tick(NamedTuple):
 class TrackerState:
     """The loop's memory, and what the robot is asked to do, which may be exchanged between two ticks.
 
+    commanded (3,): where the base would be if it did as it is commanded; contact: whether it has met something.
     blocked: since when an obstacle holds up the plan [s]; why: why the goal before ended early, empty where it did not.
     """
 
@@ -80,6 +83,8 @@ class TrackerState:
     gate: SafetyState
     base_period: float
     base_due: float
+    commanded: Float[np.ndarray, "3"]
+    contact: ContactState = base_contact.NOTHING
     blocked: float | None = None
     why: str = ""
 
@@ -108,7 +113,7 @@ def init(
     gate = safety.init(limits_of(capabilities, config.safety), now, q[robot.arm], robot)
     pose = q[robot.base] if robot.base.stop else np.zeros(3)
     where = localizer.init(robot.description, config.estimate, pose)
-    return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / capabilities.base_rate, now)
+    return TrackerState(robot, config, goal, now, q[robot.arm], where, gate, 1.0 / capabilities.base_rate, now, pose)
 
 
 def check_plan(
@@ -144,14 +149,28 @@ def step(
         desired = Command(now, gripper=gripper) if desired is None else replace(desired, gripper=gripper)
 
     innovations = tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused")
-    health = Health(innovations, heartbeat, belief.pose)
+    commanded, contact = state.commanded, state.contact
+    if "wheels" in state.gate.config.stale_after:
+        commanded = se2.compose(commanded, se2.exp((now - state.stamp) * state.gate.twist))
+        contact = base_contact.step(contact, now, commanded, where.now.dead_reckoned, belief.pose)
+    health = Health(innovations, heartbeat, belief.pose, contact.reason)
     gate, command = safety.step(state.gate, desired, readings, health, now)  # guard
     due = now > state.base_due - 1e-6
     if not due:
         command = replace(command, base=None)  # it takes commands at a slower pace, and goes on with the last
     base_due = max(state.base_due + state.base_period, now) if due else state.base_due
     tick = Tick(now, q_reference, q, belief.covariance[:3, :3], command, gate.stop, estimated.rows)
-    after = replace(state, goal=goal, stamp=now, arm=arm, localizer=where, gate=gate, base_due=base_due)
+    after = replace(
+        state,
+        goal=goal,
+        stamp=now,
+        arm=arm,
+        localizer=where,
+        gate=gate,
+        base_due=base_due,
+        commanded=commanded,
+        contact=contact,
+    )
     return _ended_early(after), command, tick
 
 

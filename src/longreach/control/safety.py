@@ -98,7 +98,7 @@ def step(
     q = _place(state, readings, elapsed, now)
     desired, stop = (
         state.desired,
-        latching_stop(config, seen, readings, now) or transient_stop(config, seen, health, dt, now),
+        latching_stop(config, seen, readings, health, now) or transient_stop(config, seen, health, dt, now),
     )
     if state.stop is not None and state.stop.latched:
         stop = state.stop

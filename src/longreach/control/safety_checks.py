@@ -37,19 +37,27 @@ class Health(NamedTuple):
     """What is known of the estimate and of the client: new innovations, and when the client was heard last [s].
 
     pose (3,): where the base is, in a frame that stands still and does not jump; None: as it was commanded.
+    contact: what the base has met, as a sentence (`base_contact`).
     """
 
     innovations: tuple[Innovation, ...] = ()
     heartbeat: float | None = None
     pose: Float[np.ndarray, "3"] | None = None
+    contact: str = ""
 
 
 class Watch(NamedTuple):
-    """What the checks remember: the stamp of each source's newest reading [s], and each streak of high NIS."""
+    """What the checks remember: the stamp of each source's newest reading [s], and each streak of high NIS.
+
+    rest (3,): the mean of the IMU's acceleration, gravity for the most part; jolt: the largest level acceleration
+    beyond it at this tick [m/s²].
+    """
 
     since: float
     seen: Mapping[str, float]
     streaks: Mapping[str, int]
+    rest: np.ndarray | None = None
+    jolt: float = 0.0
 
 
 def watch(state: Watch, config: SafetyConfig, readings: Readings, health: Health) -> Watch:
@@ -59,15 +67,30 @@ def watch(state: Watch, config: SafetyConfig, readings: Readings, health: Health
         usable = [r.stamp for r in getattr(readings, source) if _usable(source, r)]
         if usable:
             seen = {**seen, source: usable[-1]}
+    rest, jolt = state.rest, 0.0
+    for imu in readings.imu:
+        if _usable("imu", imu):
+            rest, jolt = _jolted(rest, imu.acceleration, jolt)
+    state = state._replace(seen=seen, rest=rest, jolt=jolt)
     if not health.innovations:
-        return state._replace(seen=seen)
+        return state
     streaks = dict(state.streaks)
     for source, nis, dof in health.innovations:
         if dof > 0:
             streaks[source] = 0 if nis <= config.nis_bound(dof) else streaks.get(source, 0) + 1
-    return Watch(state.since, seen, streaks)
+    return state._replace(streaks=streaks)
 
 
+def _jolted(rest: np.ndarray | None, acceleration: np.ndarray, before: float) -> tuple[np.ndarray, float]:
+    """Return the new mean of accelerations, and how far one is from it across gravity, or what was further before."""
+    if rest is None:
+        return acceleration, before
+    away, up = acceleration - rest, rest / max(float(np.linalg.norm(rest)), 1e-9)
+    level = away - (away @ up) * up
+    return rest + _MEAN * away, max(before, math.sqrt(level @ level))
+
+
+_MEAN = 0.02  # part of a reading in the mean of accelerations: half a second at 100 Hz; ours
 _NUMBERS = {"imu": ("angular_velocity", "acceleration"), "joints": ("position",), "wrenches": ("force", "torque")}
 
 
@@ -85,10 +108,12 @@ def _usable(source: str, record: Any) -> bool:
     return all(finite(getattr(record, name)) for name in names)
 
 
-def latching_stop(config: SafetyConfig, state: Watch, readings: Readings, now: float) -> Stop | None:
+def latching_stop(config: SafetyConfig, state: Watch, readings: Readings, health: Health, now: float) -> Stop | None:
     """Return the stop that holds until it is reset: emergency stop, contact, divergence."""
     if readings.emergency_stop:
         return Stop("emergency stop", "The emergency stop is pressed.", now, True)
+    if health.contact:
+        return Stop("contact", health.contact, now, True)
     for wrench in readings.wrenches:
         force, torque = math.hypot(*wrench.force.tolist()), math.hypot(*wrench.torque.tolist())
         if force > config.force_limit:
@@ -97,6 +122,9 @@ def latching_stop(config: SafetyConfig, state: Watch, readings: Readings, now: f
         if torque > config.torque_limit:
             reason = f"The tool touches something: {torque:.1f} N·m, the limit is {config.torque_limit:g} N·m."
             return Stop("contact", reason, now, True)
+    if state.jolt > config.jolt_limit:
+        reason = f"The base has hit something: {state.jolt:.0f} m/s², the limit is {config.jolt_limit:g} m/s²."
+        return Stop("contact", reason, now, True)
     for source, streak in state.streaks.items():
         if streak >= config.divergence_streak:
             reason = f"The estimate has diverged: {streak} measurements of {source} in a row are far from it."

@@ -72,6 +72,10 @@ class SafetyConfig(_Settings):
     heartbeat_timeout: _Positive | None = Field(
         default=None, description="For how long the client may be silent [s]; null: no client is watched."
     )
+    jolt_limit: _Positive = Field(
+        default=20.0,
+        description="Level acceleration that is a contact of the base [m/s²]; a Husky's outdoors: 13 at most in 395 s.",
+    )
     obstacles: bool = Field(default=True, description="Whether the base minds what the laser sees.")
     force_limit: _Positive = Field(
         default=100.0, description="Force on the tool that is a contact [N]; a third of the FT300's range, ours."
