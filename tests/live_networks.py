@@ -1,6 +1,7 @@
 """A robot that is served by a process of its own, and networks between it and a client that misbehave."""
 
 import asyncio
+import os
 import signal
 import socket
 import subprocess
@@ -23,17 +24,17 @@ def free_port():
 
 
 class Served:
-    """`longreach serve` with a simulated Thing, without scans."""
+    """`longreach serve` with a simulated Thing, without scans. tokens: the operators' and the watchers'."""
 
-    def __init__(self, folder, *options, protocol="tcp"):
+    def __init__(self, folder, *options, protocol="tcp", tokens=()):
         self.port, self.fresh = free_port(), True  # fresh: nobody has asked it for anything
         self.address = f"127.0.0.1:{self.port}"
         self.log = Path(folder) / f"server-{self.port}.log"
         command = ["serve", "--hardware", "kinematic", "--no-scans", "--address", self.address, *options]
+        known = dict(zip(("LONGREACH_TOKEN", "LONGREACH_WATCHER_TOKEN"), tokens, strict=False))
+        program = [sys.executable, "-c", _SERVE, protocol, *map(str, command)]
         with self.log.open("w") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", _SERVE, protocol, *map(str, command)], stdout=log, stderr=subprocess.STDOUT
-            )
+            self.process = subprocess.Popen(program, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **known})
 
     def ready(self):
         until = time.monotonic() + 60.0

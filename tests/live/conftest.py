@@ -1,6 +1,9 @@
 """A robot that is served by a process of its own, clients of it, and certificates."""
 
+import re
+import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 from live_networks import Served
@@ -60,24 +63,19 @@ def to():
 
 @pytest.fixture(scope="package")
 def certificates(tmp_path_factory):
-    """Folders of certificates: `ours`, `strange` (signed by somebody else) and `bare` (none of a client)."""
-    folders = {name: tmp_path_factory.mktemp(name) for name in ("ours", "strange", "bare")}
+    """The folders that the document's commands make: `robot`, `operator` and `watcher`.
 
-    def openssl(folder, *words):
-        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
-
-    for name in ("ours", "strange"):
-        folder = folders[name]
-        new = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
-        try:
-            openssl(folder, "req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", f"/CN={name}")
-        except FileNotFoundError:
-            pytest.skip("openssl is not installed")
-        (folder / "more").write_text("subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n")
-        for who in ("server", "client"):
-            openssl(folder, "req", *new, "-keyout", f"{who}.key", "-out", f"{who}.csr", "-subj", f"/CN={who}")
-            openssl(folder, "x509", "-req", "-in", f"{who}.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial",
-                    "-extfile", "more", "-out", f"{who}.pem")  # fmt: skip
-    for name in ("strange", "bare"):  # they know our authority
-        (folders[name] / "ca.pem").write_bytes((folders["ours"] / "ca.pem").read_bytes())
-    return folders
+    And `strange`, whose certificate another authority has signed, and `bare`, which has none; both know ours.
+    """
+    document = (Path(__file__).parents[2] / "docs" / "live.md").read_text(encoding="utf-8")
+    recipe = next(block for block in re.findall(r"^```sh\n(.*?)^```$", document, re.DOTALL | re.M) if "-CAkey" in block)
+    ours, others = tmp_path_factory.mktemp("ours"), tmp_path_factory.mktemp("others")
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    for folder in (ours, others):
+        subprocess.run(["sh", "-e", "-c", recipe], cwd=folder, check=True, capture_output=True)
+    shutil.copy(ours / "authority" / "ca.pem", others / "operator" / "ca.pem")
+    (ours / "bare").mkdir()
+    shutil.copy(ours / "authority" / "ca.pem", ours / "bare")
+    folders = {name: ours / name for name in ("robot", "operator", "watcher", "bare")}
+    return folders | {"strange": others / "operator"}

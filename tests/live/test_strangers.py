@@ -9,13 +9,12 @@ from live_networks import free_port, until
 
 from longreach.errors import LiveError
 from longreach.live.protocol import commands, topics
-from longreach.live.protocol.message_header import pack_header
+from longreach.live.protocol.message_header import authentication, pack_header
 from longreach.live.protocol.topics import TYPES
-from longreach.live.protocol.transport import open_client, open_server
+from longreach.live.protocol.transport import OPERATOR, WATCHER, open_client, open_server
 from longreach.live.server.authentication import Authentication, Rejected, RejectionCounts
 
-_TOKEN = "correct horse"
-_STREAMS = (topics.TWIST, topics.JOINTS, topics.TOOL, topics.GRIPPER, topics.HEARTBEAT)
+_TOKEN, _WATCHERS = "correct horse", "battery staple"
 
 
 class Sample:
@@ -25,7 +24,7 @@ class Sample:
 
 @pytest.fixture(scope="module")
 def guarded(serve):
-    return serve("--token", _TOKEN).ready()
+    return serve(tokens=(_TOKEN, _WATCHERS)).ready()
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0:7447", "192.168.1.5:7447", "[::]:7447", "robot.example:7447"])
@@ -63,21 +62,22 @@ def test_a_message_that_is_not_authentic_is_refused_by_a_robot_with_a_token(guar
 
 
 def test_a_message_counts_once_and_from_its_server_alone():
-    authentication = Authentication(_TOKEN, b"n" * 16, RejectionCounts())
+    guard = Authentication({OPERATOR: _TOKEN, WATCHER: _WATCHERS}, b"n" * 16, RejectionCounts())
     payload, topic = topics.ORDER.pack(TYPES["std_msgs/msg/String"]("hold")), topics.ORDER
 
     def signed(number, nonce=b"n" * 16, token=_TOKEN, key=topic.key):
         header = pack_header(number, b"s" * 16)
         return Sample(payload, header + authentication(token, nonce, key, header, payload))
 
-    assert authentication.admit(topic, signed(1))[1].data == "hold"
+    assert guard.admit(topic, signed(1))[1].data == "hold"
     again = signed(2)
-    authentication.admit(topic, again)
+    guard.admit(topic, again)
     for sample, reason in (
         (again, "repeated"),
         (signed(1), "repeated"),
         (signed(3, nonce=b"o" * 16), "not authentic"),
         (signed(3, token="wrong"), "not authentic"),
+        (signed(3, token=_WATCHERS), "from a watcher"),
         (signed(3, key=topics.EXECUTE.key), "not authentic"),
         (Sample(payload, pack_header(3, b"s" * 16)), "not authentic"),
         (Sample(payload, None), "without a header"),
@@ -85,8 +85,8 @@ def test_a_message_counts_once_and_from_its_server_alone():
         (Sample(bytes(5000), pack_header(3, b"s" * 16)), "too large"),
     ):
         with pytest.raises(Rejected, match=reason):
-            authentication.admit(topic, sample)
-    authentication.admit(topic, signed(3))
+            guard.admit(topic, sample)
+    guard.admit(topic, signed(3))
 
 
 def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_counted(served, to, rng):
@@ -99,10 +99,10 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
     }
     publishers = {
         topic: session.declare_publisher(topic.key, congestion_control=zenoh.CongestionControl.BLOCK)
-        for topic in _STREAMS
+        for topic in topics.STREAMS
     }
     for i in range(10_000):
-        topic = _STREAMS[i % len(_STREAMS)]
+        topic = topics.STREAMS[i % len(topics.STREAMS)]
         if topic in valid and i % 2:  # something that was right, with a few bytes changed
             payload = np.frombuffer(topic.pack(valid[topic]), dtype=np.uint8).copy()
             payload[rng.integers(len(payload), size=3)] = rng.integers(256, size=3)
@@ -111,10 +111,10 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
             payload = rng.bytes(int(rng.integers(0, 300)))
         header = rng.bytes(33) if i % 3 == 0 else pack_header(i, b"fuzz" * 4)
         publishers[topic].put(payload, attachment=header)
-    for topic in _STREAMS:
+    for topic in topics.STREAMS:
         publishers[topic].put(bytes(topic.limit + 1), attachment=pack_header(0, b"fuzz" * 4))
-    until(lambda: client.state.refused >= before + 10_000 + len(_STREAMS), 20.0)
-    assert before + 10_000 + len(_STREAMS) <= client.state.refused < before + 10_100  # others may err, too
+    until(lambda: client.state.refused >= before + 10_000 + len(topics.STREAMS), 20.0)
+    assert before + 10_000 + len(topics.STREAMS) <= client.state.refused < before + 10_100  # others may err, too
     assert np.allclose(client.state.q, q, atol=2e-3)
     assert client.state.stop == ""
     assert client.state.holder == ""
@@ -140,8 +140,9 @@ def test_questions_that_are_none_are_answered_with_a_refusal(served, to, rng):
 
 def test_with_certificates_only_who_has_one_of_ours_comes_in(certificates):
     address = f"127.0.0.1:{free_port()}"
-    server = open_server(address, None, certificates["ours"])
-    open_client(address, None, certificates["ours"], 2.0).close()
+    server = open_server(address, None, certificates["robot"])
+    for role in ("operator", "watcher"):
+        open_client(address, None, certificates[role], 2.0).close()
     for folder in (certificates["strange"], certificates["bare"], None):
         with pytest.raises(LiveError, match="No robot answers"):
             open_client(address, None, folder, 0.2)
@@ -150,7 +151,7 @@ def test_with_certificates_only_who_has_one_of_ours_comes_in(certificates):
 
 def test_with_certificates_of_the_server_and_a_token_the_token_lets_in(certificates):
     address = f"127.0.0.1:{free_port()}"
-    server = open_server(address, _TOKEN, certificates["ours"])
+    server = open_server(address, _TOKEN, certificates["robot"])
     open_client(address, _TOKEN, certificates["bare"], 2.0).close()
     for token in (None, "wrong"):
         with pytest.raises(LiveError, match="No robot answers"):
@@ -162,7 +163,7 @@ def test_a_flood_of_refusals_is_told_in_one_line_a_second(caplog):
     rejections = RejectionCounts()
     for _ in range(1000):
         rejections.count("malformed", "/cmd_vel")
-    rejections.tell_all()
+    rejections.log_all()
     assert rejections.total == 1000
     assert len(caplog.records) == 2
     assert "1000" in caplog.records[-1].getMessage()

@@ -250,9 +250,37 @@ def test_commands_that_cannot_be_taken_are_refused(parts):
         KinematicRobot(THING).write(Command(0.0, **{k: np.array(v, dtype=float) for k, v in parts.items()}))
 
 
+def test_a_differential_base_does_not_move_sideways():
+    robot = KinematicRobot(load_robot("panda_cart"), config=EVEN)
+    read = drive(robot, twists((0.4, 0.5, 0.0)))
+    assert_allclose(robot.truth().base[1:], 0.0, atol=1e-12)
+    assert robot.truth().base[0] > 0.3
+    wheels = np.array([w.ticks for w in all_of(read, "wheels")])
+    rolled = robot.robot.description.base.forward_matrix @ (wheels[-1] - wheels[0])
+    assert rolled[0] == pytest.approx(robot.truth().base[0] / (1 - EVEN.slip[0]), abs=0.01)
+    poses, _ = drive_many(robot.robot, np.full((2, 50, 3), [0.4, 0.5, 0.0]), config=EVEN)
+    assert_allclose(poses[:, -1], np.tile(robot.truth().base, (2, 1)), atol=1e-12)
+
+
+def test_a_robot_without_described_wheels_says_odometry_that_does_not_know_of_the_slip():
+    exact, slipping = (KinematicRobot(load_robot("husky"), config=config) for config in (EXACT, EVEN))
+    told = twists((0.5, 0.0, 0.6), (0.3, 0.0, -0.9), (0.0, 0.0, 0.0))
+    for robot in (exact, slipping):
+        odometry = all_of(drive(robot, told), "wheels")
+        assert_allclose(se2.difference(exact.truth().base, odometry[-1].pose), 0.0, atol=1e-3)
+        assert max(o.twist[0] for o in odometry) == pytest.approx(0.5)
+    assert np.linalg.norm(se2.difference(exact.truth().base, slipping.truth().base)) > 3e-3
+
+
+def test_a_bolted_arm_stays_where_it_is_and_has_no_wheels():
+    robot = KinematicRobot(load_robot("ur10"), config=EXACT)
+    readings = drive(robot, [{"arm": np.full(6, 0.2), "base": np.ones(3)}] * 50)
+    assert all_of(readings, "wheels") == []
+    assert_allclose(robot.truth().base, 0.0)
+    assert_allclose(robot.truth().q, robot.robot.home + 0.2, atol=0.01)
+
+
 def test_what_cannot_be_simulated_is_refused():
-    with pytest.raises(ConfigError, match="Only mecanum bases"):
-        KinematicRobot(load_robot("ur10"))
     with pytest.raises(ConfigError, match="Time can pass by 0 s or more"):
         KinematicRobot(THING).advance(-1.0)
     with pytest.raises(ConfigError, match="at least a millisecond"):

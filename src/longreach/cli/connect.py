@@ -8,7 +8,9 @@ import typer
 
 def command(
     address: str = typer.Argument("127.0.0.1:7447", help="Where the robot is served, host:port."),
-    token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="The server's secret."),
+    token_file: Path | None = typer.Option(
+        None, help="File with the server's secret, which you alone can read; else LONGREACH_TOKEN."
+    ),
     certificates: Path | None = typer.Option(
         None, help="Folder with ca.pem, and client.pem and client.key if need be."
     ),
@@ -25,6 +27,7 @@ def command(
     """Watch a robot over the network, or let it do one thing."""
     import numpy as np
 
+    from longreach.cli.tokens import read_token
     from longreach.cli.watching import watched
     from longreach.live.client.client import connect
     from longreach.live.realtime_settings import apply_realtime_settings
@@ -32,7 +35,7 @@ def command(
 
     check_method(method)
     apply_realtime_settings()
-    with connect(address, token, certificates=certificates) as client:
+    with connect(address, read_token(token_file), certificates=certificates) as client:
         if stop:
             client.stop()
         if reset:

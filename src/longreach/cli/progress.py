@@ -1,8 +1,17 @@
-"""Progress on the terminal: a bar a stage, on standard error; only the stages' names where that is no terminal."""
+"""The log and progress on standard error: a bar a stage on a terminal, else the names of the stages alone."""
 
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+
+def show_log() -> None:
+    """Show what the package logs on standard error; by a handler of its own, for rospy takes away those of others."""
+    handler, log = logging.StreamHandler(sys.stderr), logging.getLogger("longreach")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
 
 
 @contextmanager

@@ -32,13 +32,12 @@ def command(
     if experiment not in EXPERIMENTS:
         raise ConfigError(f"There is no experiment {experiment!r}; there are {', '.join(EXPERIMENTS)}.")
     chosen = EXPERIMENTS[experiment]
-    number = float(floor) if floor is not None and floor.replace(".", "", 1).isdigit() else floor
     given = {
         "duration": duration,
         "length": length,
         "objective": objective,
         "world": world,
-        "floor": number,
+        "floor": floor,
         "video": video,
         "view": view,
     }

@@ -11,50 +11,87 @@ _PATIENCE = 60.0  # with a ROS robot that is started at the same time [s]
 
 def command(
     robot: str = typer.Option("thing", help="A robot's name, or a YAML file of your own."),
-    hardware: str = typer.Option("sim", help="sim (with physics), kinematic (without forces), or ros (a ROS 1 robot)."),
+    hardware: str = typer.Option(
+        "sim",
+        help="sim (with physics: a URDF on mecanum wheels, as thing), kinematic (without forces: any robot), ros.",
+    ),
     address: str = typer.Option("127.0.0.1:7447", help="Where to listen, host:port; other machines need certificates."),
-    token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="A secret that clients must know."),
+    token_file: Path | None = typer.Option(
+        None, help="File with the operators' secret, which you alone can read; else LONGREACH_TOKEN."
+    ),
+    watcher_token_file: Path | None = typer.Option(
+        None, help="That of those who may look and stop only; else LONGREACH_WATCHER_TOKEN."
+    ),
     certificates: Path | None = typer.Option(None, help="Folder with server.pem, server.key and ca.pem."),
     record: Path | None = typer.Option(None, help="Write everything into a recording, .mcap or .bag."),
-    world: str = typer.Option(
-        "laboratory", help="Of a simulated robot: laboratory, office, corridor, … or a YAML file."
+    world: str | None = typer.Option(
+        None, help="Of a simulated robot: laboratory (default), office, corridor, warehouse, … or a YAML file."
     ),
+    floor: str | None = typer.Option(None, help="Of sim: good, worn, wet, slippery, or a coefficient of friction."),
     seed: int = typer.Option(0, help="Seed of everything random in a simulation."),
     scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
     duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
-    import logging
-    import sys
-
     from longreach.app.operated import SIMULATED
     from longreach.app.warmup import warm_up
-    from longreach.cli.progress import shown_progress
+    from longreach.cli.progress import show_log, shown_progress
+    from longreach.cli.tokens import WATCHER_TOKEN, read_token
+    from longreach.io.bag_writer import check_new_bag
     from longreach.io.robots import load_robot
+    from longreach.live.protocol.transport import server_settings
     from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.live.server.authentication import RejectionCounts
     from longreach.live.server.rejected_connections import counted
     from longreach.live.server.server import ServerConfig
     from longreach.live.server.serving import described, rehearse, serve
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
-    loaded, config, rejections = load_robot(robot), ServerConfig(address, token, certificates), RejectionCounts()
+    loaded, rejections = load_robot(robot), RejectionCounts()
+    token, watcher_token = read_token(token_file), read_token(watcher_token_file, WATCHER_TOKEN)
+    server_settings(address, token, certificates, watcher_token)
+    place = _world(hardware, loaded, world, floor)
+    if record is not None:
+        check_new_bag(record)
+    show_log()  # what is wrong with the options has been said before anything that takes time
     with shown_progress() as progress:
         kind = hardware if hardware in SIMULATED else "kinematic"
         warm_up(progress, "estimation", "scans", "physics" if kind == "sim" else kind)
         progress("rehearsing", 0.0)
         rehearse(loaded, kind)
-    body, wait_until, scans = _hardware(hardware, loaded, world, seed, scans)
+    body, wait_until, scans = _hardware(hardware, loaded, place, seed, scans)
     apply_realtime_settings()
 
     with counted(rejections):
         rhythm = serve(
-            body, wait_until, loaded, described(robot), config, _ended(duration),
-            record=record, scans=scans, rejections=rejections, ready=lambda _: _say_ready(loaded.name, address),
+            body, wait_until, loaded, described(robot), ServerConfig(address, token, certificates, watcher_token),
+            _ended(duration), record=record, scans=scans, rejections=rejections,
+            ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)
     if record is not None:
         typer.echo(f"The recording is {record}.")
+
+
+def _world(kind: str, robot: Any, world: str | None, floor: str | None) -> Any:
+    """Return where a robot is simulated; None where it is not.
+
+    Raises:
+        ConfigError: it cannot be simulated, or world or floor would do nothing.
+    """
+    from longreach.app.operated import check_simulated
+    from longreach.errors import ConfigError
+    from longreach.sim.worlds import load_world
+
+    if kind == "ros":
+        if world is not None or floor is not None:
+            raise ConfigError("A robot of ROS has a world and a floor of its own; leave out --world and --floor.")
+        return None
+    if floor is not None and kind == "kinematic":
+        raise ConfigError("A kinematic robot slips alike on every floor; take --hardware sim, or leave out --floor.")
+    place = load_world(world or "laboratory")
+    place = place if floor is None else place.with_floor(floor)
+    check_simulated(kind, robot, place)
+    return place
 
 
 def _say_ready(name: str, address: str) -> None:
@@ -65,13 +102,16 @@ def _say_ready(name: str, address: str) -> None:
 
 
 def _say_how_it_was(rhythm: Any, rejections: Any) -> None:
-    median, longest = (1e3 * rhythm.busy.percentile(p) for p in (50, 99))
-    typer.echo(f"{rhythm.ticks} ticks; one took {median:.1f} ms, {longest:.1f} ms at the 99th percentile.")
+    for what, durations in (("A tick took", rhythm.busy), ("It began late by", rhythm.lateness)):
+        median, high = (1e3 * durations.percentile(p) for p in (50, 99))
+        longest = 1e3 * durations.worst
+        typer.echo(f"{what} {median:.1f} ms (median), {high:.1f} ms (99th percentile), {longest:.1f} ms at most.")
+    typer.echo(f"{rhythm.late} of {rhythm.ticks} ticks were more than 1 ms late.")
     for why, count in sorted(rejections.counts.items()):
         typer.echo(f"Refused {count}: {why}.")
 
 
-def _hardware(kind: str, robot: Any, world: str, seed: int, scans: bool) -> tuple[Any, Any, bool]:
+def _hardware(kind: str, robot: Any, world: Any, seed: int, scans: bool) -> tuple[Any, Any, bool]:
     """Return the hardware, what waits in its time (None: the wall's), and whether it has scans."""
     if kind == "ros":
         from longreach.ros.hardware import connect_ros

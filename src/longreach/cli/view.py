@@ -12,7 +12,9 @@ def command(
     port: int = typer.Option(8080, help="Where the page is served, on this machine alone."),
     export: Path | None = typer.Option(None, help="Write the scene as one HTML file, and serve nothing."),
     connect: str | None = typer.Option(None, help="Watch and command the robot that is served at host:port."),
-    token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="The server's secret."),
+    token_file: Path | None = typer.Option(
+        None, help="File with the server's secret, which you alone can read; else LONGREACH_TOKEN."
+    ),
     certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
     open: bool = typer.Option(False, "--open", help="Open the page in this machine's browser."),
     duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
@@ -25,7 +27,9 @@ def command(
     if recording is not None:
         _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:
-        _show_robot(connect, token, certificates, port, open, duration)
+        from longreach.cli.tokens import read_token
+
+        _show_robot(connect, read_token(token_file), certificates, port, open, duration)
 
 
 def _show_recording(

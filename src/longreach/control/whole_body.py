@@ -56,15 +56,15 @@ def step(
     u_ref = reference.velocity[base]
     if config.loop == "open":
         correction = config.arm_gain * (reference.q[arm] - q[arm])
-        return DesiredVelocity(reference.velocity[arm] + correction, _in_body(reference.q[2], u_ref))
+        return DesiredVelocity(reference.velocity[arm] + correction, _in_body(reference.q[base], u_ref))
     away = reference.q[base] - q[base]
-    away[2] = (away[2] + np.pi) % (2.0 * np.pi) - np.pi
+    away[2:] = (away[2:] + np.pi) % (2.0 * np.pi) - np.pi
     u = u_ref + config.base_gain * away
     T, J = robot.forward_and_jacobian(q)
     T_ref, J_ref = robot.forward_and_jacobian(reference.q)
     e = _pose_error(T, T_ref)
     V = J_ref @ reference.velocity + config.tool_gain * e
-    return DesiredVelocity(_damped(J[:, arm], V - J[:, base] @ u, config), _in_body(q[2], u))
+    return DesiredVelocity(_damped(J[:, arm], V - J[:, base] @ u, config), _in_body(q[base], u))
 
 
 def reach(
@@ -82,9 +82,11 @@ def _pose_error(T: np.ndarray, T_ref: np.ndarray) -> np.ndarray:
     return np.concatenate([T_ref[:3, 3] - T[:3, 3], so3.log(T_ref[:3, :3] @ T[:3, :3].T)])
 
 
-def _in_body(heading: float, u: np.ndarray) -> np.ndarray:
-    """Return the body twist of a base whose pose changes by u (3,) in the world's axes."""
-    c, s = np.cos(heading), np.sin(heading)
+def _in_body(pose: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the body twist of a base whose pose (3,) changes by u (3,) in the world's axes; both (0,) where bolted."""
+    if not len(pose):
+        return np.zeros(3)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array([c * u[0] + s * u[1], -s * u[0] + c * u[1], u[2]])
 
 

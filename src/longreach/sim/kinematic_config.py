@@ -4,11 +4,10 @@ import math
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from longreach.errors import ConfigError
-from longreach.robot.bases import MecanumBase
-from longreach.robot.description import Encoder, Mount
+from longreach.robot.description import Encoder, Mount, RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim._kinematic_kernels import Traits
 from longreach.sim.drivers import HARDEST
@@ -38,16 +37,21 @@ class KinematicConfig(BaseModel):
     timeout: float = Field(default=0.25, gt=0, description="A command holds so long [s]; the Ridgeback's.")
 
 
+def moving_axes(robot: RobotDescription) -> Float[np.ndarray, "3"]:
+    """Return 1 for each of v_x, v_y, ω that a base moves along, else 0."""
+    return np.array([1.0, float(robot.holonomic), 1.0]) * (not robot.bolted)
+
+
 def traits_of(robot: MobileManipulator, config: KinematicConfig) -> Traits:
     """Return what the compiled motion has to know of a robot and its sensors.
 
-    Raises:
-        ConfigError: it has no mecanum base.
+    Wheels that no base describes turn as the body moves: one for each of v_x, v_y, ω.
     """
     description, sensors, limits = robot.description, config.sensors, arm_limits(robot)
     base, encoder, imu = description.base, description.encoder or Encoder(), description.imu
-    if not isinstance(base, MecanumBase):
-        raise ConfigError(f"Only mecanum bases can be simulated, and {robot.name} is none; take the robot thing.")
+    inverse = np.eye(3) if base is None else base.inverse_matrix
+    if description.bolted:
+        inverse = np.empty((0, 3))
     keep = math.exp(-STEP / config.slip_time)
     T = ((imu and imu.mount) or Mount()).matrix()
     resolution = 0.0 if encoder.resolution is None else encoder.resolution
@@ -56,12 +60,13 @@ def traits_of(robot: MobileManipulator, config: KinematicConfig) -> Traits:
     noise = [resolution, resolution / encoder.radians_per_tick, *walk]
     noise += [sensors.joints.position_deviation, sensors.joints.velocity_deviation]
     present = {*config.present, "truth"} - ({"imu"} if imu is None else set())
+    present -= {"wheels"} if description.bolted else set()
     rates = [getattr(sensors, kind).rate if kind in present else 0.0 for kind in KINDS]
     hardest = np.minimum(limits.acceleration, HARDEST)
     return Traits(
         base=np.array(description.acceleration_limits),
         arm=np.stack([limits.lower, limits.upper, limits.velocity, hardest]),
-        inverse=base.inverse_matrix,
+        inverse=inverse,
         slip=np.array([config.slip, config.slip_deviation, [keep] * 3]),
         imu=np.vstack([T[:3, :3].T, T[:3, 3]]),
         closed=Hand.of(robot).closed,

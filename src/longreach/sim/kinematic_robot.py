@@ -1,7 +1,9 @@
 """A simulated robot without forces, behind the same `Hardware` as the one with physics, for runs by the thousand.
 
-Its drivers keep to the same speeds and accelerations, its arm is where it is told to be, and its base lacks of each
-axis what the one with physics lacks, and a part that wanders. It meets no walls, and has no wrench and no pictures.
+Any described robot can be simulated: on mecanum wheels, with differential drive, with a driver that makes odometry of
+its wheels, with or without an arm, or bolted down. It keeps to its speeds and accelerations, its arm is where it is
+told to be, and its base lacks of each axis what a mecanum base with physics lacks, and a part that wanders. It meets no
+walls, and has no wrench and no pictures.
 """
 
 import math
@@ -12,12 +14,13 @@ from jaxtyping import Float, Int
 
 from longreach.control.hardware import Capabilities, Command, Readings
 from longreach.errors import ConfigError
-from longreach.measurement import GripperState, Imu, JointState, WheelSpeeds, WheelTicks, frozen_array
+from longreach.geometry import se2
+from longreach.measurement import GripperState, Imu, JointState, Odometry, WheelSpeeds, WheelTicks, frozen_array
 from longreach.robot.description import Mount
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim._kinematic_kernels import move, parts, size, take
 from longreach.sim.drivers import GripperDriver
-from longreach.sim.kinematic_config import KINDS, STEP, KinematicConfig, traits_of
+from longreach.sim.kinematic_config import KINDS, STEP, KinematicConfig, moving_axes, traits_of
 from longreach.sim.places import Hand
 from longreach.sim.sensors import Line, Scanner, unchecked
 from longreach.sim.simulated import Truth, capabilities_of, check_command
@@ -38,7 +41,7 @@ class KinematicRobot:
     start, base first, else at its home.
 
     Raises:
-        ConfigError: there is no such world, or the robot has no mecanum base.
+        ConfigError: there is no such world.
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class KinematicRobot:
         self.capabilities: Capabilities = capabilities_of(robot, self.config.timeout)
         self._hand, self._gripper, self._step, self._stopped = Hand.of(robot), GripperDriver(), 0, ""
         limits, fast = self.capabilities.arm_limits, self.capabilities.arm_limits.velocity
-        top = np.array(robot.description.velocity_limits)
+        top = np.array(robot.description.velocity_limits) * moving_axes(robot.description)
         self._fast = (-top, top)
         self._bounds = {True: (limits.lower, limits.upper), False: (-fast, fast)}  # of angles, of speeds
         self._names = (*self.capabilities.arm_names, *self._hand.names)
@@ -64,7 +67,9 @@ class KinematicRobot:
         closing = [(i, a) for i, a in enumerate(self._hand.closed.tolist(), len(limits.lower)) if a > 0]
         self._finger = closing[0] if closing else None  # one that tells how far all are closed
         self._speeds, self._imu_frame = encoder is not None and encoder.signal == "speed", (imu and imu.frame) or "imu"
-        self._makers = {"wheels": self._wheels, "imu": self._imu, "joints": self._joints}
+        self._odometer = np.zeros((2, 3))  # of a driver that makes odometry: what its wheels had turned, its pose
+        wheels = self._odometry if robot.description.base is None else self._wheels
+        self._makers = {"wheels": wheels, "imu": self._imu, "joints": self._joints}
         self._fit_motion(seed)
         self._fit_lidar()
         self._advance(0)
@@ -83,7 +88,7 @@ class KinematicRobot:
         for part, value in zip(known, traits, strict=True):
             part[:] = value
         state, never, imu = self._state, -math.inf, robot.description.imu
-        state.base[0], state.arm[0] = self._start[robot.base], self._start[robot.arm]
+        state.base[0, : robot.base.stop], state.arm[0] = self._start[robot.base], self._start[robot.arm]
         state.base[3] = traits.slip[1] * self._noise.standard_normal(3)
         state.bias[:] = (imu.gyro_bias_deviation if imu else 0.0) * self._noise.standard_normal(3)
         self._orders.base[3] = self._orders.hold[2] = never
@@ -187,7 +192,10 @@ class KinematicRobot:
 
     def _truths(self, rows: Float[np.ndarray, "n k"]) -> list[Truth]:
         q = np.tile(self._start, (len(rows), 1))
-        q[:, self.robot.base], q[:, self.robot.arm] = rows[:, 1:4], rows[:, 7 : 7 + len(self._orders.arm)]
+        q[:, self.robot.base], q[:, self.robot.arm] = (
+            rows[:, 1 : 1 + self.robot.base.stop],
+            rows[:, 7:][:, : len(self._orders.arm)],
+        )
         base = rows[:, 1:4].copy()
         base[:, 2] = (base[:, 2] + math.pi) % (2 * math.pi) - math.pi
         known = (_stamps(rows), base, rows[:, 4:7], q, self.robot.forward(q))
@@ -220,6 +228,19 @@ class KinematicRobot:
         if self._speeds:
             return unchecked(WheelSpeeds, stamp=stamp, speeds=row[1 + n : 1 + 2 * n])
         return unchecked(WheelTicks, stamp=stamp, ticks=row[1 : 1 + n])
+
+    def _odometry(self, stamp: float, row: Float[np.ndarray, " m"]) -> Odometry:
+        turned, pose = self._odometer
+        step = row[1:4] - turned
+        self._odometer = np.stack([row[1:4], se2.retract(pose, step)])
+        return unchecked(
+            Odometry,
+            stamp=stamp,
+            pose=self._odometer[1].copy(),
+            twist=row[4:7],
+            pose_covariance=None,
+            twist_covariance=None,
+        )
 
     def _imu(self, end: float, row: Float[np.ndarray, " m"]) -> Imu:
         stamp = round(end - 0.5 * STEP * float(row[7]), 9)  # the middle of the time that it is the mean of

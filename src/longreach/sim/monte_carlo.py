@@ -6,7 +6,7 @@ from jaxtyping import Float
 from longreach.errors import ConfigError
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim._kinematic_kernels import drive_all, parts, size
-from longreach.sim.kinematic_config import STEP, KinematicConfig, traits_of
+from longreach.sim.kinematic_config import STEP, KinematicConfig, moving_axes, traits_of
 
 
 def drive_many(
@@ -23,7 +23,7 @@ def drive_many(
     The heading is not wrapped. Slip wanders once a tick.
 
     Raises:
-        ConfigError: the robot has no mecanum base, or the tick is shorter than a millisecond.
+        ConfigError: the tick is shorter than a millisecond.
     """
     config, each = config or KinematicConfig(), round(tick / STEP)
     if each < 1:
@@ -44,5 +44,6 @@ def drive_many(
         )
     poses, wheels = np.empty((runs, ticks + 1, 3)), np.empty((runs, ticks + 1, len(traits.inverse)))
     draws = rng.standard_normal((runs, ticks, 3))
-    drive_all(np.ascontiguousarray(twists), each, STEP, memories, sizes, draws, poses, wheels)
+    twists = twists * moving_axes(robot.description)
+    drive_all(twists, each, STEP, memories, sizes, draws, poses, wheels)
     return poses, wheels

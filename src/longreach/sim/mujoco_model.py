@@ -73,7 +73,8 @@ def mjcf(robot: MobileManipulator, world: World, settings: dict[str, str] | None
     base, urdf = robot.description.base, robot.urdf
     if not isinstance(base, MecanumBase) or urdf is None:
         raise ConfigError(
-            f"Only robots of a URDF on mecanum wheels have physics, and {robot.name} is none; take thing."
+            f"Only robots of a URDF on mecanum wheels have physics (thing), and {robot.name} is none; "
+            "simulate it without forces (--hardware kinematic)."
         )
     lost = set(base.wheel_names) - {joint.name for joint in urdf.joints}
     if lost:

@@ -3,6 +3,7 @@
 A laser sees those that reach through its height; everything can be run into.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -155,16 +156,16 @@ class WorldDescription(_Strict):
 
 
 def friction_of(floor: str | float) -> float:
-    """Return the coefficient of friction of a floor by its name, or the number itself.
+    """Return the coefficient of friction of a floor by its name, or the number itself, as a text too.
 
     Raises:
         ConfigError: no such floor, or a friction that is not above 0.
     """
-    if isinstance(floor, str) and floor in FLOORS:
-        return FLOORS[floor]
-    if isinstance(floor, str) or not 0.0 < floor < np.inf:
-        raise ConfigError(f"A floor is one of {', '.join(FLOORS)}, or a friction above 0, but not {floor!r}.")
-    return float(floor)
+    with suppress(ValueError):
+        friction = FLOORS.get(str(floor)) or float(floor)
+        if 0.0 < friction < np.inf:
+            return friction
+    raise ConfigError(f"A floor is one of {', '.join(FLOORS)}, or a friction above 0, but not {floor!r}.")
 
 
 def shipped_worlds() -> list[str]:

@@ -32,15 +32,22 @@ class Connection:
 
     def __init__(self, address: str, token: str | None, certificates: Path | None, timeout: float) -> None:
         self.session = transport.open_client(address, token, certificates, timeout)
+        self._key = self._role_key() if token is None and certificates is not None else token
         self._where = {"address": address, "token": token, "timeout": timeout, "protocol": transport.PROTOCOL}
         self._where["certificates"] = None if certificates is None else str(certificates)
         self._heartbeat: Heartbeat | None = None
-        self.sender, self._token, self._nonce, self._number = secrets.token_bytes(16), token, b"", 0
+        self.sender, self._nonce, self._number = secrets.token_bytes(16), b"", 0
         self._lock, self._closed = Lock(), Event()
         self._pings: deque[tuple[float, float]] = deque(maxlen=_PINGS)  # how long each took, and the offset [s]
         self.holds, self._sure = False, 0.0  # when the robot said last that we do, by time.monotonic() [s]
         self.confirmed: Callable[[], bool] = lambda: False
         self._threads = [Thread(target=run, daemon=True) for run in (self._beat, self._compare_clocks)]
+
+    def _role_key(self) -> str | None:
+        """Return what a server with certificates lets us sign with by ours: an operator's key, or a watcher's."""
+        replies = [reply.ok for reply in self.session.get(f"{transport.ROLE_KEYS}/*", timeout=_ANSWER)]
+        keys = {str(one.key_expr).split("/")[-1]: bytes(one.payload).decode() for one in replies if one is not None}
+        return keys.get(transport.OPERATOR, keys.get(transport.WATCHER))
 
     def start(self) -> None:
         """Compare the clocks, and give signs of life from now on."""
@@ -91,7 +98,7 @@ class Connection:
                 continue
             answer = topics.ORDER.unpack(bytes(reply.ok.payload)).data
             if answer.startswith("refused: "):
-                raise LiveError(answer.removeprefix("refused: "))
+                raise LiveError(_sentence(answer.removeprefix("refused: ")))
             return answer
         raise LiveError(f"The robot has not answered within {_ANSWER:g} s; look whether it is still there.")
 
@@ -127,7 +134,7 @@ class Connection:
         """Return the header of a payload; numbers are of the machine's clock, as those of our heartbeat are."""
         self._number = max(self._number + 1, time.monotonic_ns())
         header = pack_header(self._number, self.sender)
-        return signed(self._token, self._nonce, topic.key, header, payload)
+        return signed(self._key, self._nonce, topic.key, header, payload)
 
     def ping(self) -> None:
         """Compare the clocks once: ours halfway between question and answer is the robot's in the answer."""
@@ -162,8 +169,9 @@ class Connection:
         if self._heartbeat is None:
             payload = topics.HEARTBEAT.pack(messages.header(TYPES, 0.0, ""))
             known = {"payload": payload.hex(), "nonce": self._nonce.hex(), "sender": self.sender.hex()}
+            known |= {"topic": topics.HEARTBEAT.key, "key": self._key}
             with suppress(OSError):  # it cannot be started here
-                self._heartbeat = Heartbeat({**self._where, **known, "key": topics.HEARTBEAT.key})
+                self._heartbeat = Heartbeat({**self._where, **known})
         return self._heartbeat is not None and self._heartbeat.beat()
 
     def _quietly(self, do: Any) -> None:
@@ -183,6 +191,11 @@ class Connection:
         if self._heartbeat is not None:
             self._heartbeat.close()
         self.session.close()
+
+
+def _sentence(reason: str) -> str:
+    """Return why the robot has refused something as a sentence, which some reasons are already."""
+    return reason if reason.endswith(".") else f"The robot refuses what is {reason}."
 
 
 def read_description(connection: Connection) -> MobileManipulator:

@@ -26,7 +26,10 @@ _HALTED = ("T", "t", "Z", "X")  # states of a process in Linux' /proc that does 
 
 
 class Heartbeat:
-    """The client's end of the pipe. settings: what `main` needs to know: where, the token, key, payload and sender."""
+    """The client's end of the pipe.
+
+    settings: what `main` needs to know: where, the token, topic, payload and sender, and the key to sign with.
+    """
 
     def __init__(self, settings: dict[str, Any]) -> None:
         start = f"import sys; sys.path[:] = {sys.path!r}; from longreach.live.client.heartbeat import main; main()"
@@ -72,9 +75,9 @@ def main() -> None:
     settings, client = json.loads(_line(pipe)), os.getppid()
     heard = [time.monotonic()]
     threading.Thread(target=_listen, args=(pipe, heard), daemon=True).start()
-    transport.PROTOCOL, token, key = settings["protocol"], settings["token"], settings["key"]
+    transport.PROTOCOL, topic, key = settings["protocol"], settings["topic"], settings["key"]
     certificates = None if settings["certificates"] is None else Path(settings["certificates"])
-    session = transport.open_client(settings["address"], token, certificates, settings["timeout"])
+    session = transport.open_client(settings["address"], settings["token"], certificates, settings["timeout"])
     payload, nonce, sender = (bytes.fromhex(settings[name]) for name in ("payload", "nonce", "sender"))
     sys.stdout.buffer.write(_READY)
     sys.stdout.flush()
@@ -83,7 +86,7 @@ def main() -> None:
         if time.monotonic() - heard[0] < PATIENCE and not _halted(client):
             header = pack_header(time.monotonic_ns(), sender)
             with suppress(transport.zenoh().ZError):  # the connection is down: it comes back by itself
-                session.put(key, payload, attachment=signed(token, nonce, key, header, payload), express=True)
+                session.put(topic, payload, attachment=signed(key, nonce, topic, header, payload), express=True)
 
 
 def _line(pipe: Any) -> bytes:

@@ -1,8 +1,10 @@
 """The network below: zenoh, set to find nobody by itself and to let in only who may come in.
 
 Only this machine can reach a server unless it is given certificates: on any other address it demands TLS, and of each
-client a certificate or the token. With a token nobody joins who does not know it (zenoh's own challenge with an HMAC,
+client a certificate or a token. With a token nobody joins who does not know it (zenoh's own challenge with an HMAC,
 the token is never sent), and each command carries an HMAC, which a router between client and server cannot make.
+With certificates alone the server draws a key for each role, which zenoh hands out by the common name, for that HMAC.
+No client can publish what the server publishes, or answer in its place: zenoh's access control drops that.
 """
 
 import hashlib
@@ -10,13 +12,14 @@ import hmac
 import ipaddress
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from longreach.errors import LiveError
 
-USER = "longreach"
+OPERATOR, WATCHER = "operator", "watcher"  # roles; and the common name of an operator's certificate
+ROLE_KEYS = "longreach/role_keys"  # there a server with certificates keeps what a role's commands are signed with
 PROTOCOL = "tcp"  # without certificates; the tests' lossy network takes udp
 _LARGEST = 1 << 25  # message that is put together from its parts [bytes]; everything of ours is half of that at most
 
@@ -34,12 +37,17 @@ def zenoh() -> Any:
     return zenoh
 
 
-def open_server(address: str, token: str | None, certificates: Path | None) -> Any:
-    """Return a session that listens at an address, host:port, or says why it must not.
+def server_settings(
+    address: str, token: str | None, certificates: Path | None, watcher_token: str | None = None
+) -> dict[str, Any]:
+    """Return zenoh's settings for a server at an address, host:port, or say why it must not listen there.
 
     Raises:
-        LiveError: another machine could reach it, and it would be let in by anyone.
+        LiveError: other machines could reach it that anyone may use, a certificate is missing, or there is a token for
+            watchers alone.
     """
+    if watcher_token is not None and (token is None or token == watcher_token):
+        raise LiveError("A watcher's token comes beside an operator's, and is another one: give both.")
     host, _ = _split(address)
     if certificates is None and not _is_loopback(host):
         raise LiveError(
@@ -49,6 +57,7 @@ def open_server(address: str, token: str | None, certificates: Path | None) -> A
     settings = _common("router", token)
     settings["listen/endpoints"] = [_endpoint(address, certificates)]
     settings["listen/exit_on_failure"] = True
+    settings["access_control"] = _access_control()
     settings["transport/link/rx/max_message_size"] = _LARGEST
     # A watcher that is slow loses messages; the loop never waits for it.
     settings["transport/link/tx/queue/congestion_control/drop/wait_before_drop"] = 0
@@ -59,11 +68,22 @@ def open_server(address: str, token: str | None, certificates: Path | None) -> A
             files["root_ca_certificate"] = "ca.pem"
             settings["transport/link/tls/enable_mtls"] = True
         settings |= _tls(certificates, files)
+    return settings
+
+
+def open_server(address: str, token: str | None, certificates: Path | None, watcher_token: str | None = None) -> Any:
+    """Return a session that listens at an address, host:port.
+
+    Raises:
+        LiveError: it must not, see `server_settings`, or it cannot.
+    """
+    settings = server_settings(address, token, certificates, watcher_token)
     with tempfile.TemporaryDirectory() as folder:
         if token is not None:
             users = Path(folder) / "users"
             users.touch(0o600)
-            users.write_text(f"{USER}:{_password(token)}\n", encoding="utf-8")
+            known = [one for one in (token, watcher_token) if one is not None]
+            users.write_text("".join(f"{_user(one)}:{_password(one)}\n" for one in known), encoding="utf-8")
             settings["transport/auth/usrpwd"] |= {"dictionary_file": str(users)}
         return _opened(settings, f"Nothing can listen at {address}")
 
@@ -104,8 +124,34 @@ def _common(mode: str, token: str | None) -> dict[str, Any]:
         "transport/unicast/max_sessions": 64,
     }
     if token is not None:
-        settings["transport/auth/usrpwd"] = {"user": USER, "password": _password(token)}
+        settings["transport/auth/usrpwd"] = {"user": _user(token), "password": _password(token)}
     return settings
+
+
+def _access_control() -> dict[str, Any]:
+    """Return zenoh's rules of what clients may send, and of who is answered with an operator's key."""
+    from longreach.live.protocol import topics  # loads what takes time, which a client's heartbeat does without
+
+    def allow(name: str, flow: str, messages: Sequence[str], *keys: str) -> dict[str, Any]:
+        return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
+
+    asking = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
+    saying = ("put", "delete", "declare_subscriber", "declare_queryable", "query", "liveliness_token")
+    rules = [
+        allow("listen and ask", "ingress", asking, "**"),
+        allow("command", "ingress", ("put",), *(topic.key for topic in topics.STREAMS)),
+        allow("hear the server", "egress", saying, "**"),
+        allow("get answers", "egress", ("reply",), "0/**", f"{ROLE_KEYS}/{WATCHER}"),
+        allow("get the key", "egress", ("reply",), f"{ROLE_KEYS}/{OPERATOR}"),
+    ]
+    *general, operators = [rule["id"] for rule in rules]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": "anybody"}, {"id": OPERATOR, "cert_common_names": [OPERATOR]}],
+        "policies": [{"rules": general, "subjects": ["anybody"]}, {"rules": [operators], "subjects": [OPERATOR]}],
+    }
 
 
 def _opened(settings: Mapping[str, Any], otherwise: str) -> Any:
@@ -148,6 +194,11 @@ def _tls(folder: Path, files: Mapping[str, str]) -> dict[str, Any]:
     if missing:
         raise LiveError(f"The folder of certificates {folder} has no {missing[0]}.")
     return {f"transport/link/tls/{key}": str(folder / name) for key, name in files.items()}
+
+
+def _user(token: str) -> str:
+    """Return the name that zenoh knows whoever has a token by: one need not say whether it is an operator's."""
+    return hmac.new(token.encode(), b"longreach user", hashlib.sha256).hexdigest()[:16]
 
 
 def _password(token: str) -> str:

@@ -1,14 +1,20 @@
-"""Who comes in: every message of a client is checked here before anything believes it, and rejections are counted."""
+"""Who comes in: every message of a client is checked here before anything believes it, and rejections are counted.
+
+A message is signed with the key of its sender's role. A watcher's may ask for a stop, an operator's for anything.
+"""
 
 import hmac
 import logging
 import time
 from collections import Counter, OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from longreach.live.protocol import topics
 from longreach.live.protocol.message_header import authentication, unpack_header
 from longreach.live.protocol.topics import Topic
+from longreach.live.protocol.transport import OPERATOR
 
 _LOG = logging.getLogger("longreach.live")
 _NUMBERS = 1024  # that are remembered, of senders on topics
@@ -49,10 +55,13 @@ class RejectionCounts:
 
 
 class Authentication:
-    """Lets in a message that is small enough, whole, authentic where there is a token, and new."""
+    """Lets in a message that is small enough, whole, of one that may send it, and new.
 
-    def __init__(self, token: str | None, nonce: bytes, rejections: RejectionCounts) -> None:
-        self._token, self._nonce, self.rejections = token, nonce, rejections
+    keys: what each role signs with; where there are none, everybody is an operator.
+    """
+
+    def __init__(self, keys: Mapping[str, str], nonce: bytes, rejections: RejectionCounts) -> None:
+        self._keys, self._nonce, self.rejections = keys, nonce, rejections
         self._numbers: OrderedDict[tuple[bytes, str], int] = OrderedDict()  # by sender and topic
 
     def admit(self, topic: Topic, sample: Any) -> tuple[bytes, Any]:
@@ -69,10 +78,9 @@ class Authentication:
             about, mac = unpack_header(header)
         except ValueError:
             raise Rejected("without a header") from None
-        if self._token is not None:
-            signed = header[: len(header) - len(mac)]
-            if not hmac.compare_digest(mac, authentication(self._token, self._nonce, topic.key, signed, data)):
-                raise Rejected("not authentic")
+        role = OPERATOR
+        if self._keys:
+            role = self._role(topic, header[: len(header) - len(mac)], data, mac)
             # On one topic: messages of different topics may overtake each other, and the topic is authentic, too.
             if about.number <= self._numbers.get((about.sender, topic.key), -1):
                 raise Rejected("repeated")
@@ -80,8 +88,17 @@ class Authentication:
             message = topic.unpack(data)
         except Exception:
             raise Rejected("malformed") from None
+        if role != OPERATOR and not (topic is topics.ORDER and message.data.split(" ")[0] == "stop"):
+            raise Rejected("from a watcher, who may look and stop only")
         self._numbers[about.sender, topic.key] = about.number
         self._numbers.move_to_end((about.sender, topic.key))
         while len(self._numbers) > _NUMBERS:
             self._numbers.popitem(last=False)
         return about.sender, message
+
+    def _role(self, topic: Topic, header: bytes, data: bytes, mac: bytes) -> str:
+        """Return the role that has signed a message."""
+        for role, key in self._keys.items():
+            if hmac.compare_digest(mac, authentication(key, self._nonce, topic.key, header, data)):
+                return role
+        raise Rejected("not authentic")

@@ -16,7 +16,7 @@ from longreach.io import messages
 from longreach.live.protocol import topics
 from longreach.live.protocol.message_header import pack_header
 from longreach.live.protocol.topics import TYPES, Sensed, Topic
-from longreach.live.protocol.transport import open_server, zenoh
+from longreach.live.protocol.transport import OPERATOR, ROLE_KEYS, WATCHER, open_server, zenoh
 from longreach.live.server import publisher
 from longreach.live.server.authentication import Authentication, RejectionCounts
 from longreach.live.server.listener import Listener
@@ -41,6 +41,13 @@ class ServerConfig:
     address: str = "127.0.0.1:7447"
     token: str | None = None
     certificates: Path | None = None
+    watcher_token: str | None = None
+
+    def role_keys(self) -> dict[str, str]:
+        """Return what each role signs with: its token, else one that is drawn now; nothing where all may command."""
+        if self.token is None:
+            return {role: secrets.token_hex(16) for role in (OPERATOR, WATCHER)} if self.certificates else {}
+        return {OPERATOR: self.token} | ({WATCHER: self.watcher_token} if self.watcher_token is not None else {})
 
 
 class Server:
@@ -74,8 +81,9 @@ class Server:
         self._progress, self._plans = 0.0, 0
         self._status, self._status_due, self._frames_due = "", 0.0, 0.0
         self.rejections = rejections or RejectionCounts()
-        self._session = open_server(config.address, config.token, config.certificates)
-        authentication = Authentication(config.token, self._nonce, self.rejections)
+        keys = config.role_keys()
+        self._session = open_server(config.address, config.token, config.certificates, config.watcher_token)
+        authentication = Authentication(keys, self._nonce, self.rejections)
         self._listener = Listener(self._session, robot, authentication, lambda: self._record, lambda: self.now, tracker)
         z = zenoh()
         self._publishers = {
@@ -98,6 +106,11 @@ class Server:
         ]
 
         self._declared += announced(self._session, streams)
+        if config.token is None:
+            self._declared += [
+                self._session.declare_queryable(f"{ROLE_KEYS}/{role}", partial(_give, f"{ROLE_KEYS}/{role}", key))
+                for role, key in keys.items()
+            ]
 
     @property
     def now(self) -> float:
@@ -195,3 +208,9 @@ class Server:
         self.rejections.log_all()
         with suppress(zenoh().ZError):
             self._session.close()
+
+
+def _give(key_expression: str, key: str, query: Any) -> None:
+    """Answer with the key of a role; zenoh's access control lets only those have it whose certificate says so."""
+    with query:
+        query.reply(key_expression, key)

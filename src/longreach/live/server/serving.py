@@ -1,7 +1,8 @@
 """A robot served: hardware, loop, network and recording, until somebody ends it."""
 
+import logging
 from collections.abc import Callable
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, Hardware
 from longreach.control.safety_config import SafetyConfig
 from longreach.control.ticker import Ticker
-from longreach.errors import ConfigError
 from longreach.io.config import description_file, to_yaml
 from longreach.io.robots import load_robot
 from longreach.live.protocol.topics import Sensed
@@ -27,6 +27,7 @@ from longreach.live.server.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Simulated
 
+_LOG = logging.getLogger("longreach.live")
 _REHEARSED = 60  # ticks
 
 
@@ -57,25 +58,23 @@ def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = T
 
 def rehearse(robot: MobileManipulator, kind: str = "kinematic") -> None:
     """Do all that the loop does, on a robot that only pretends, so that no tick has to load or compile anything."""
-    with suppress(ConfigError):  # it cannot be simulated
-        body = simulated(kind, robot, "laboratory", 0)
-        still = ConfigurationTrajectory(np.array([0.0, 0.1]), np.stack([robot.home, robot.home]))
-        goals = iter(
-            [Follow(still, 0.0), ServoGoal(robot.forward(robot.home)), VelocityGoal(Command(0.0, np.zeros(6)), 0.0)]
-        )
-        records: list[robot_side.TickRecord] = []
+    body = simulated(kind, robot, "laboratory", 0)
+    still = ConfigurationTrajectory(np.array([0.0, 0.1]), np.stack([robot.home, robot.home]))
+    zero = Command(0.0, np.zeros(robot.dof - robot.base.stop))
+    goals = iter([Follow(still, 0.0), ServoGoal(robot.forward(robot.home)), VelocityGoal(zero, 0.0)])
+    records: list[robot_side.TickRecord] = []
 
-        def orders(now: float) -> robot_side.Orders:
-            return robot_side.Orders(goal=next(goals, None) if len(records) % 4 == 3 else None)
+    def orders(now: float) -> robot_side.Orders:
+        return robot_side.Orders(goal=next(goals, None) if len(records) % 4 == 3 else None)
 
-        robot_side.run(
-            body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, records.append,
-            lambda: "The rehearsal is over." if len(records) > _REHEARSED else "", tracker_config(body, robot),
-        )  # fmt: skip
-        for topic, message in [
-            m for record in records for m in publisher.state(robot, Sensed.of(robot.description), record, body.truth())
-        ]:
-            topic.pack(message)
+    robot_side.run(
+        body, lambda stamp: body.advance(max(stamp - body.stamp, 0.0)), robot, np.zeros(3), orders, records.append,
+        lambda: "The rehearsal is over." if len(records) > _REHEARSED else "", tracker_config(body, robot),
+    )  # fmt: skip
+    for topic, message in [
+        m for record in records for m in publisher.state(robot, Sensed.of(robot.description), record, body.truth())
+    ]:
+        topic.pack(message)
 
 
 def serve(
@@ -93,20 +92,28 @@ def serve(
 ) -> Ticker:
     """Serve a robot until `ended` says why it shall end; wait_until: None paces a simulated one to the wall's time.
 
+    The ticker's lateness is by the wall, of a simulated robot, too.
+
     Raises:
         LiveError: it cannot listen there. RecordingError: it cannot record there.
     """
     truth, base = None, np.zeros(3)
     if isinstance(hardware, Simulated):
         truth, base = hardware.truth, hardware.truth().base
+    paced = None
     if wait_until is None:
         assert isinstance(hardware, Simulated)
-        wait_until = Paced(hardware)
+        wait_until = paced = Paced(hardware)
     settings = tracker_config(hardware, robot, scans)
     with recording(record) as recorder:
         server = Server(robot, description, config, settings, truth, recorder, rejections)
         try:
             ready(server)
-            return robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)
+            rhythm = robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)
         finally:
             server.close()
+    if paced is None:
+        return rhythm
+    if paced.behind:
+        _LOG.warning("The simulation has fallen behind the wall's clock by %.1f s in all.", paced.behind)
+    return replace(rhythm, late=paced.late, lateness=paced.lateness)
