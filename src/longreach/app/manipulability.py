@@ -139,7 +139,7 @@ def run_manipulability(config: ManipulabilityConfig, out: Path, progress: Progre
     with show(config.video, config.view) as shown:
         runs = execute_both(config, config.seed, tell, shown)
     metrics: Metrics = metrics_of(config, runs)
-    remarks = [f"{name}: {run.run.reason}" for name, run in runs.items() if run.run.reason]
+    remarks = []
     if config.seeds > 1:
         seeds = range(config.seed, config.seed + config.seeds)
         metrics, remark = more_seeds(partial(_job, config), metrics, seeds, tell)

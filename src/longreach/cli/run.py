@@ -25,7 +25,7 @@ def command(
     from longreach.app.experiments import EXPERIMENTS
     from longreach.app.warmup import warm_up
     from longreach.errors import ConfigError
-    from longreach.evaluation.tables import metric_table
+    from longreach.evaluation.tables import failures, metric_table
     from longreach.io.config import validated
     from longreach.view.export import add_to_report
 
@@ -50,7 +50,12 @@ def command(
         metrics = chosen.run(config, folder, progress)
         progress("scene for the report", 0.0)
         add_to_report(folder)
+    failed = failures(metrics)
+    for failure in failed:
+        typer.echo(failure)
     table = metric_table(chosen.main(metrics))
     print_table(table.header, table.rows)
     typer.echo(chosen.verdict(metrics))
     typer.echo(f"Everything is in {folder}; open {folder / 'report.html'}.")
+    if failed:
+        raise typer.Exit(1)
