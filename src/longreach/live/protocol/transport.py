@@ -125,9 +125,11 @@ def _split(address: str) -> tuple[str, int]:
     Raises:
         LiveError: it is not host:port.
     """
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdigit():
+    host, _, port = str(address).rpartition(":")
+    if not host or not (port.isascii() and port.isdigit()):
         raise LiveError(f"{address!r} is no address; write it as host:port, such as 127.0.0.1:7447.")
+    if len(port) > 5 or not 0 < int(port) <= 65535:
+        raise LiveError(f"{address} has no port that there is; a port is a number from 1 to 65535.")
     return host, int(port)
 
 
