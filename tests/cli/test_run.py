@@ -131,18 +131,3 @@ def test_many_runs_give_means_and_spreads():
             "pairs_max": {"value": 3.0, "unit": ""},
         }
     }
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["dancing"], "There is no experiment 'dancing'"),
-        (["localization", "--seeds", "0"], "seeds is 0"),
-        (["localization", "--floor", "lava"], "lava"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_sentence(run, tmp_path, arguments, words):
-    answer = run("run", *arguments, "--out", tmp_path / "out")
-    assert answer.code == 2
-    assert words in answer.err.splitlines()[-1]
-    assert not (tmp_path / "out").exists()

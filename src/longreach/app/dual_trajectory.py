@@ -54,7 +54,7 @@ PACE = 0.1  # of the tool along its line [m/s]: 2 m in 20 s
 class DualTrajectoryConfig(BaseModel):
     """Settings of the experiment."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     robot: str = Field(default="thing", description="A robot that has physics.")
     seed: int = Field(default=0, ge=0, description="Of everything random.")

@@ -43,7 +43,7 @@ MAIN = (
 class ManipulabilityConfig(BaseModel):
     """Settings of the experiment."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     robot: str = Field(default="thing", description="A robot that has physics.")
     seed: int = Field(default=0, ge=0, description="Of everything random.")

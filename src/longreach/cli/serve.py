@@ -19,9 +19,11 @@ def command(
     world: str = typer.Option(
         "laboratory", help="Of a simulated robot: laboratory, office, corridor, … or a YAML file."
     ),
-    seed: int = typer.Option(0, help="Seed of everything random in a simulation."),
+    seed: int = typer.Option(0, min=0, help="Seed of everything random in a simulation."),
     scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
-    duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
+    duration: float | None = typer.Option(
+        None, min=0.0, help="End after so many seconds; else when it is interrupted."
+    ),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
     import logging
@@ -30,15 +32,25 @@ def command(
     from longreach.app.operated import SIMULATED
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
+    from longreach.errors import ConfigError
     from longreach.io.robots import load_robot
+    from longreach.io.whole_files import check_folder
+    from longreach.live.protocol.transport import split_address
     from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.live.server.authentication import RejectionCounts
     from longreach.live.server.rejected_connections import counted
     from longreach.live.server.server import ServerConfig
     from longreach.live.server.serving import described, rehearse, serve
+    from longreach.sim.worlds import load_world
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
     loaded, config, rejections = load_robot(robot), ServerConfig(address, token, certificates), RejectionCounts()
+    split_address(address)
+    if hardware not in (*SIMULATED, "ros"):
+        raise ConfigError(f"There is no hardware {hardware!r}; there are {', '.join(SIMULATED)} and ros.")
+    load_world(world)
+    if record is not None and not record.exists():
+        check_folder(record)
     with shown_progress() as progress:
         kind = hardware if hardware in SIMULATED else "kinematic"
         warm_up(progress, "estimation", "scans", "physics" if kind == "sim" else kind)

@@ -40,7 +40,7 @@ def open_server(address: str, token: str | None, certificates: Path | None) -> A
     Raises:
         LiveError: another machine could reach it, and it would be let in by anyone.
     """
-    host, _ = _split(address)
+    host, _ = split_address(address)
     if certificates is None and not _is_loopback(host):
         raise LiveError(
             f"{address} can be reached from other machines: give --certificates, a folder with server.pem, server.key "
@@ -119,7 +119,7 @@ def _opened(settings: Mapping[str, Any], otherwise: str) -> Any:
         raise LiveError(f"{otherwise}.") from error
 
 
-def _split(address: str) -> tuple[str, int]:
+def split_address(address: str) -> tuple[str, int]:
     """Return host and port.
 
     Raises:
@@ -141,7 +141,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _endpoint(address: str, certificates: Path | None) -> str:
-    host, port = _split(address)
+    host, port = split_address(address)
     return f"{PROTOCOL if certificates is None else 'tls'}/{host}:{port}"
 
 
