@@ -59,7 +59,7 @@ def check_rigid(T: Float[np.ndarray, "n 4 4"], what: str) -> None:
     skewed = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) > _ROTATION
     wrong = skewed | (np.linalg.det(R) < 0) | np.any(T[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=1)
     if np.any(wrong):
+        row = f" at row {int(np.argmax(wrong))}" if len(T) > 1 else ""
         raise PlanningError(
-            f"{what} at row {int(np.argmax(wrong))} is no rigid motion: its upper left 3 x 3 must be a rotation "
-            "and its last row 0 0 0 1."
+            f"{what}{row} is no rigid motion: its upper left 3 x 3 must be a rotation and its last row 0 0 0 1."
         )

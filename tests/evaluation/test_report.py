@@ -52,6 +52,13 @@ def test_the_page_is_well_formed_and_in_one_piece(text):
     assert not re.search(r"https?:|url\(|@import", text)
 
 
+def test_what_did_not_reach_its_end_comes_before_the_title():
+    text = report_html("Run", "What it is.", metric_table({}), {}, failures=[f"closed did not: {NASTY}"])
+    assert Page(text).open == []
+    body = text.split("<body>")[1]
+    assert body.index("closed did not: &lt;script&gt;") < body.index("<h1>")
+
+
 def test_all_text_is_escaped(text):
     assert "<script" not in text
     assert text.count("&lt;script&gt;alert(") >= 6

@@ -126,7 +126,7 @@ def test_a_stop_comes_through_in_50_milliseconds_and_holds_until_the_reset(clien
     until(lambda: client.state.stop == "That is enough.")
     assert client.state.latched
     assert client.state.stamp - began < 0.2  # it was seen here, by a slow client; the bar is the benchmark's
-    with pytest.raises(LiveError, match=r"stopped: That is enough\. Reset it first"):
+    with pytest.raises(LiveError, match=r"stopped: That is enough\. Clear it with reset\(\) first"):
         client.move_to(client.state.q)
     client.reset()
     until(lambda: client.state.stop == "")

@@ -232,6 +232,19 @@ def test_an_edge_stops_the_hand_and_the_wrench_feels_where_from():
     assert np.min(forces, axis=0)[0] < -20.0
 
 
+def test_what_runs_into_something_is_named_and_what_stands_on_the_floor_is_no_hit():
+    wall = World("wall", np.array([[0.7, -1.0, 0.7, 1.0]]), np.zeros(1), np.full(1, 0.5))  # below the arm
+    simulation = Simulation(THING, wall)
+    drive(simulation, [0.4, 0.0, 0.0], 0.3)
+    assert simulation.hit == ""
+    drive(simulation, [0.4, 0.0, 0.0], 0.7)
+    first = simulation.hit
+    assert first.endswith(" s after the start.")
+    assert first.split()[0] in THING.urdf.links
+    drive(simulation, [-0.4, 0.0, 0.0], 0.3)
+    assert simulation.hit == first
+
+
 def test_commands_that_cannot_be_taken_are_refused():
     simulation = Simulation(THING, EMPTY)
     with pytest.raises(ControlError, match="base takes 3 finite numbers"):

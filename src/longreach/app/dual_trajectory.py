@@ -54,7 +54,7 @@ PACE = 0.1  # of the tool along its line [m/s]: 2 m in 20 s
 class DualTrajectoryConfig(BaseModel):
     """Settings of the experiment."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     robot: str = Field(default="thing", description="A robot that has physics.")
     seed: int = Field(default=0, ge=0, description="Of everything random.")
@@ -138,7 +138,7 @@ def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progr
     with show(config.video, config.view) as shown:
         runs = execute_both(config, config.seed, tell, shown)
     metrics: Metrics = metrics_of(runs)
-    remarks = [verdict(metrics)] + [f"{loop} loop: {run.run.reason}" for loop, run in runs.items() if run.run.reason]
+    remarks = [verdict(metrics)]
     remarks += [report.reason for report in runs["closed"].plan.reports if report.unmet.any()]
     remarks += runs["closed"].estimate.remarks
     if config.seeds > 1:

@@ -12,7 +12,7 @@ from longreach.app.tool_state import tool_state
 from longreach.app.tracker import Run, Tick, TrackerConfig, run
 from longreach.configuration import ConfigurationTrajectory
 from longreach.evaluation.execution import Traces
-from longreach.evaluation.tables import Metric, metric
+from longreach.evaluation.tables import REACHED_END, Metric, metric, outcome
 from longreach.measurement import Recording
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.motion import Truth
@@ -21,6 +21,7 @@ from longreach.sim.record import recorded
 from longreach.sim.simulated import Simulated
 
 Progress = Callable[[str, float], None]
+_NEAR = 0.02  # so near to the plan's end is there, by the robot's own estimate [m]; ten times the thesis' error, ours
 
 
 class ExecutionConfig(BaseModel):
@@ -38,7 +39,10 @@ class ExecutionConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """What was done: plan, run and recording, what `estimate` makes of that, and the traces of tool and base."""
+    """What was done: plan, run and recording, what `estimate` makes of that, and the traces of tool and base.
+
+    failure: why the robot did not come to the plan's end as it should, in sentences; empty where it did.
+    """
 
     robot: MobileManipulator
     plan: ConfigurationTrajectory
@@ -47,6 +51,7 @@ class Execution:
     truths: list[Truth]
     estimate: Estimate
     traces: Traces
+    failure: str
 
 
 def execute(
@@ -84,7 +89,14 @@ def execute(
     settings = config.tracker.estimate.model_copy(update={"evaluation": EvaluationConfig(align="none")})
     replayed = estimate(recording, robot, settings, progress=tell)
     traces = _traces(robot, done, truths)
-    return Execution(robot, plan, done, recording, truths, replayed, traces)
+    reasons = [simulation.hit, done.reason, _short_of_end(robot, plan, done) if loop == "closed" else ""]
+    return Execution(robot, plan, done, recording, truths, replayed, traces, " ".join(filter(None, reasons)))
+
+
+def _short_of_end(robot: MobileManipulator, plan: ConfigurationTrajectory, done: Run) -> str:
+    """Return how far from the plan's end the robot itself thinks that its tool is; nothing where it is near."""
+    away = float(np.linalg.norm(robot.forward(done.ticks[-1].q)[:3, 3] - robot.forward(plan.q[-1])[:3, 3]))
+    return "" if away <= _NEAR else f"The tool ended {away:.2f} m away from the plan's end."
 
 
 def _traces(robot: MobileManipulator, done: Run, truths: list[Truth]) -> Traces:
@@ -93,7 +105,7 @@ def _traces(robot: MobileManipulator, done: Run, truths: list[Truth]) -> Traces:
     goals = np.array([tick.q_reference for tick in done.ticks])
     moving = np.flatnonzero(np.any(np.diff(goals, axis=0) != 0.0, axis=1))
     begin, end = (t[moving[0]], t[moving[-1] + 1]) if len(moving) else (t[0], t[-1])
-    known = [truth for truth in truths if begin <= truth.stamp <= end]
+    known = [truth for truth in truths if begin <= truth.stamp <= end] or truths[-1:]
     stamps = np.array([truth.stamp for truth in known])
     q_reference = _at(stamps, t, goals)
     q = _at(stamps, t, np.array([tick.q for tick in done.ticks]))
@@ -125,7 +137,7 @@ def _nearest(ticks, t: np.ndarray, stamp: float) -> Tick:
 
 
 def loop_metrics(execution: Execution) -> dict[str, Metric]:
-    """Return how fast the loop was, and how far the estimate of the run is from the replay of its recording."""
+    """Return whether the plan's end was reached, how fast the loop was, and how far a replay's estimate is from its."""
     busy, fused = execution.run.ticker.busy, execution.estimate.trajectories["fused"]
     row_of = {row.stamp: row.pose for row in execution.run.rows}
     apart = [
@@ -134,6 +146,7 @@ def loop_metrics(execution: Execution) -> dict[str, Metric]:
         if s in row_of
     ]
     return {
+        REACHED_END: outcome(execution.failure),
         "tick_median": metric(1e3 * busy.percentile(50), "ms"),
         "tick_p99": metric(1e3 * busy.percentile(99), "ms"),
         "ticks": metric(execution.run.ticker.ticks, ""),

@@ -14,6 +14,7 @@ from longreach.app.outputs import comparison_figures, estimate_figures, write_tr
 from longreach.app.results import write_results
 from longreach.app.seeds import more_seeds
 from longreach.app.show import Show, show
+from longreach.evaluation.tables import REACHED_END, outcome
 from longreach.io.bag_writer import write_bag
 from longreach.io.config import to_yaml
 from longreach.io.robots import load_robot
@@ -21,6 +22,7 @@ from longreach.io.whole_files import whole_folder
 from longreach.localization.config import Source
 from longreach.measurement import Recording
 from longreach.sim.record import make_recording
+from longreach.sim.simulated import Simulated
 
 Progress = Callable[[str, float], None]
 
@@ -30,13 +32,21 @@ VARIANTS: Mapping[str, tuple[Source, ...] | None] = {
     "wheels_lidar": ("wheels", "lidar"),
     "wheels_imu": ("wheels", "imu"),
 }
-_COMPARED = ("position_mse", "heading_mse", "final_position_error", "final_heading_error", "ate_rmse", "nees_mean")
+_COMPARED = (
+    "position_mse",
+    "heading_mse",
+    "final_position_error",
+    "final_heading_error",
+    "ate_rmse",
+    "nees_mean",
+    REACHED_END,
+)
 
 
 class LocalizationConfig(BaseModel):
     """Settings of the experiment."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     robot: str = Field(default="thing", description="A robot that has physics.")
     seed: int = Field(default=0, ge=0, description="Of everything random.")
@@ -49,11 +59,15 @@ class LocalizationConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """One run: what was recorded, the estimate from all sensors, and all estimates held against the truth."""
+    """One run: what was recorded, the estimate from all sensors, and all estimates held against the truth.
+
+    metrics: the evaluation's, with the outcome of the drive beside those of the estimate from all sensors.
+    """
 
     recording: Recording
     fused: Estimate
     evaluation: Evaluation
+    metrics: Metrics
 
 
 def localize(
@@ -63,7 +77,15 @@ def localize(
     tell = progress or (lambda stage, fraction: None)
     robot = load_robot(config.robot)
     tell("simulation", 0.0)
-    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor, watch=watch)
+    hit = ""
+
+    def driven(simulation: Simulated) -> None:
+        nonlocal hit
+        hit = simulation.hit
+        if watch is not None:
+            watch(simulation)
+
+    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor, watch=driven)
     none = EvaluationConfig(align="none")
     estimates = {}
     for i, (name, sources) in enumerate(VARIANTS.items()):
@@ -72,7 +94,9 @@ def localize(
     fused = estimates["fused"]
     paths = {name: e.trajectories["fused"] for name, e in estimates.items()}
     paths |= {name: fused.trajectories[name] for name in ("wheels", "lidar")}
-    return Localization(recording, fused, evaluate(paths, recording.truth, config=none))
+    evaluation = evaluate(paths, recording.truth, config=none)
+    metrics = {**evaluation.metrics, "fused": {**evaluation.metrics["fused"], REACHED_END: outcome(hit)}}
+    return Localization(recording, fused, evaluation, metrics)
 
 
 def run_localization(config: LocalizationConfig, out: Path, progress: Progress | None = None) -> Metrics:
@@ -80,7 +104,7 @@ def run_localization(config: LocalizationConfig, out: Path, progress: Progress |
     tell = progress or (lambda stage, fraction: None)
     with show(config.video, config.view) as shown:
         first = localize(config, config.seed, tell, shown if config.video or config.view else None)
-    metrics: Metrics = first.evaluation.metrics
+    metrics = first.metrics
     remarks = list(first.evaluation.remarks)
     if config.seeds > 1:
         seeds = range(config.seed, config.seed + config.seeds)
@@ -100,7 +124,7 @@ def verdict(metrics: Metrics) -> str:
 
 
 def _metrics(config: LocalizationConfig, seed: int) -> Metrics:
-    return _compared(localize(config, seed).evaluation.metrics)
+    return _compared(localize(config, seed).metrics)
 
 
 def _compared(metrics: Metrics) -> Metrics:

@@ -15,7 +15,6 @@ from longreach.evaluation import plan_figures, planning_figures
 from longreach.evaluation.tables import Metric, metric
 from longreach.io.config import to_yaml
 from longreach.io.plan_files import write_trajectory_csv, write_trajectory_mcap
-from longreach.io.reference import read_reference
 from longreach.io.tum import write_spatial_tum, write_tum
 from longreach.io.whole_files import whole_folder
 from longreach.planning.planner import plan
@@ -38,7 +37,7 @@ _SIX = 6  # fewer joints cannot turn and move the tool in all directions: they h
 class PlanConfig(BaseModel):
     """Settings of one plan."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     method: str = Field(default="task-priority", description="The planner.")
     iterations: int | None = Field(
@@ -70,14 +69,18 @@ class Planned:
 
 
 def make_plan(
-    robot: MobileManipulator, what: str | Path, config: PlanConfig | None = None, progress: Progress | None = None,
-    problem: Problem | None = None, **options: Any,
-) -> Planned:  # fmt: skip
-    """Plan `dual-trajectory`, or the reference in a file, from the robot's home; problem: of sqp, (4.34) where None."""
+    robot: MobileManipulator,
+    reference: Reference | None,
+    config: PlanConfig | None = None,
+    progress: Progress | None = None,
+    problem: Problem | None = None,
+    **options: Any,
+) -> Planned:
+    """Plan a reference, None: the dual trajectory, from the robot's home; problem: of sqp, (4.34) where None."""
     config = config or PlanConfig()
     tell = progress or (lambda stage, fraction: None)
     q0 = robot.home
-    if str(what) == DUAL:
+    if reference is None:
         reference = dual_trajectory(
             robot.forward(q0),
             q0[:3] if robot.base.stop else None,
@@ -86,8 +89,6 @@ def make_plan(
             waypoints=config.waypoints,
             duration=config.duration,
         )
-    else:
-        reference = read_reference(Path(what))
     tell("planning", 0.0)
     by_sqp = config.method == "sqp"
     if by_sqp:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from longreach.evaluation import style
 from longreach.evaluation.report import CAPTIONS, report_html
-from longreach.evaluation.tables import Metric, main_metrics, metric_table
+from longreach.evaluation.tables import Metric, failures, main_metrics, metric_table
 
 Progress = Callable[[str, float], None]
 
@@ -48,5 +48,6 @@ def write_results(
         remarks,
         config,
         more=metric_table(metrics) if any(main.values()) else None,
+        failures=failures(metrics),
     )
     (folder / "report.html").write_text(page, encoding="utf-8")

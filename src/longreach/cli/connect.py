@@ -22,58 +22,61 @@ def command(
     gripper: float | None = typer.Option(None, help="Close the fingers: 0 open to 1 closed."),
     stop: bool = typer.Option(False, "--stop", help="Stop the robot, whoever holds it."),
     reset: bool = typer.Option(False, "--reset", help="Let it move again after a stop."),
-    duration: float | None = typer.Option(None, help="Watch, or drive, for so many seconds; else until interrupted."),
+    duration: float | None = typer.Option(
+        None, min=0.0, help="Watch, or drive, for so many seconds; else until interrupted."
+    ),
 ) -> None:
     """Watch a robot over the network, or let it do one thing."""
     import numpy as np
 
     from longreach.cli.tokens import read_token
-    from longreach.cli.watching import watched
+    from longreach.cli.watching import numbers, watched
+    from longreach.errors import LiveError
+    from longreach.io.reference import read_reference
     from longreach.live.client.client import connect
     from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.planning.planner import check_method
 
     check_method(method)
+    q = None if move_to is None else numbers(move_to, None, "--move-to")
+    way = None if tool_by is None else numbers(tool_by, 3, "--tool-by")
+    twist = None if velocity is None else numbers(velocity, 3, "--velocity")
+    reference = None if plan is None else read_reference(plan)
     apply_realtime_settings()
     with connect(address, read_token(token_file), certificates=certificates) as client:
         if stop:
             client.stop()
         if reset:
             client.reset()
+            if client.state.latched:
+                raise LiveError(f"The robot is stopped again: {client.state.stop}")
         if gripper is not None:
             client.gripper(gripper)
-        _move(client, method, move_to, tool_by, plan)
-        if velocity is not None:
-            _drive(client, velocity, duration or 1.0)
-        if not any((stop, reset, gripper is not None, move_to, tool_by, plan, velocity)):
+        _move(client, method, q, way, reference)
+        if twist is not None:
+            _drive(client, twist, duration or 1.0)
+        if not (stop or reset) and all(given is None for given in (gripper, q, way, reference, twist)):
             watched(client, duration)
         typer.echo(f"The robot is at {np.array2string(client.state.q, precision=3, suppress_small=True)}.")
 
 
-def _move(client: Any, method: str, move_to: str | None, tool_by: str | None, plan: Path | None) -> None:
+def _move(client: Any, method: str, q: Any, way: Any, reference: Any) -> None:
     """Move to a configuration, the tool by a way, along a reference: whatever is given."""
-    from longreach.cli.watching import numbers
-
-    robot = client.robot
-    if move_to is not None:
-        client.move_to(numbers(move_to, (robot.dof, robot.dof - robot.base.stop), "--move-to"))
-    if tool_by is not None:
-        T = robot.forward(client.state.q)
-        T[:3, 3] += numbers(tool_by, (3,), "--tool-by")
+    if q is not None:
+        client.move_to(q)
+    if way is not None:
+        T = client.robot.forward(client.state.q)
+        T[:3, 3] += way
         client.move_to(T, method=method)
-    if plan is not None:
-        from longreach.io.reference import read_reference
-
-        client.execute(client.plan(read_reference(plan), method))
+    if reference is not None:
+        client.execute(client.plan(reference, method))
 
 
-def _drive(client: Any, velocity: str, duration: float) -> None:
-    """Drive the base for a time [s]."""
+def _drive(client: Any, twist: Any, duration: float) -> None:
+    """Drive the base by a twist for a time [s]."""
     import time
 
-    from longreach.cli.watching import numbers
-
-    twist, until = numbers(velocity, (3,), "--velocity"), time.monotonic() + duration
+    until = time.monotonic() + duration
     while time.monotonic() < until:
         client.velocity(base=twist)
         time.sleep(0.02)

@@ -17,7 +17,9 @@ def command(
     """Compare trajectories with a reference and write metrics, figures and a report into a folder."""
     from longreach.app.evaluate import evaluate_files
     from longreach.app.outputs import write_evaluation
+    from longreach.io.whole_files import check_folder
 
+    check_folder(out)
     with shown_progress() as progress:
         result = evaluate_files(estimate, truth, relations, progress)
         write_evaluation(result, out, progress)

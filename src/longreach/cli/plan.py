@@ -24,11 +24,13 @@ def command(
     retime: bool = typer.Option(False, help="Go as fast as the joints' limits of speed and acceleration allow."),
 ) -> None:
     """Plan base and arm as one chain along a reference and write the trajectory, figures and a report."""
-    from longreach.app.plan import PlanConfig, make_plan, write_plan
+    from longreach.app.plan import DUAL, PlanConfig, make_plan, write_plan
     from longreach.app.warmup import warm_up
     from longreach.evaluation.tables import metric_table
     from longreach.io.config import read_yaml, validated
+    from longreach.io.reference import read_reference
     from longreach.io.robots import load_robot
+    from longreach.io.whole_files import check_folder
     from longreach.planning.planner import check_method
     from longreach.planning.problem_config import problem_of
 
@@ -43,13 +45,15 @@ def command(
         "retime": retime,
     }
     check_method(method)
+    check_folder(out)
     config = validated(PlanConfig, settings, "the options")
     posed = None if problem is None else problem_of(read_yaml(problem) or {})
     model = load_robot(robot)
     model = model if tool is None else model.with_tool(tool)
+    followed = None if reference == DUAL else read_reference(Path(reference))
     with shown_progress() as progress:
         warm_up(progress, "task priority", *(["sqp"] if method == "sqp" else []))
-        planned = make_plan(model, reference, config, progress, posed)
+        planned = make_plan(model, followed, config, progress, posed)
         write_plan(planned, out, progress)
     table = metric_table(planned.metrics)
     print_table(table.header, table.rows)

@@ -25,8 +25,10 @@ def command(
     from longreach.app.experiments import EXPERIMENTS
     from longreach.app.warmup import warm_up
     from longreach.errors import ConfigError
-    from longreach.evaluation.tables import metric_table
+    from longreach.evaluation.tables import failures, metric_table
     from longreach.io.config import validated
+    from longreach.io.whole_files import check_folder
+    from longreach.sim.worlds import friction_of, load_world
     from longreach.view.export import add_to_report
 
     if experiment not in EXPERIMENTS:
@@ -44,12 +46,22 @@ def command(
     given = {name: value for name, value in given.items() if value is not None}
     config = validated(chosen.config, {"seed": seed, "seeds": seeds, **given}, "the options")
     folder = out or Path("out") / experiment
+    check_folder(folder)
+    if world is not None:
+        load_world(world)
+    if "floor" in given:
+        friction_of(given["floor"])
     with shown_progress() as progress:
         warm_up(progress, *chosen.rooms)
         metrics = chosen.run(config, folder, progress)
         progress("scene for the report", 0.0)
         add_to_report(folder)
+    failed = failures(metrics)
+    for failure in failed:
+        typer.echo(failure)
     table = metric_table(chosen.main(metrics))
     print_table(table.header, table.rows)
     typer.echo(chosen.verdict(metrics))
     typer.echo(f"Everything is in {folder}; open {folder / 'report.html'}.")
+    if failed:
+        raise typer.Exit(1)

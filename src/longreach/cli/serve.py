@@ -28,9 +28,11 @@ def command(
         None, help="Of a simulated robot: laboratory (default), office, corridor, warehouse, … or a YAML file."
     ),
     floor: str | None = typer.Option(None, help="Of sim: good, worn, wet, slippery, or a coefficient of friction."),
-    seed: int = typer.Option(0, help="Seed of everything random in a simulation."),
+    seed: int = typer.Option(0, min=0, help="Seed of everything random in a simulation."),
     scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
-    duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
+    duration: float | None = typer.Option(
+        None, min=0.0, help="End after so many seconds; else when it is interrupted."
+    ),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
     from longreach.app.operated import SIMULATED

@@ -9,7 +9,7 @@ def command(
     recording: Path | None = typer.Argument(None, help="A folder of run or estimate, or a recording."),
     robot: str | None = typer.Option(None, help="A shipped description or a YAML file (default: the run's own)."),
     estimate: Path | None = typer.Option(None, help="The folder that longreach estimate has written about it."),
-    port: int = typer.Option(8080, help="Where the page is served, on this machine alone."),
+    port: int = typer.Option(8080, min=0, max=65535, help="Where the page is served, on this machine alone."),
     export: Path | None = typer.Option(None, help="Write the scene as one HTML file, and serve nothing."),
     connect: str | None = typer.Option(None, help="Watch and command the robot that is served at host:port."),
     token_file: Path | None = typer.Option(
@@ -17,19 +17,39 @@ def command(
     ),
     certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
     open: bool = typer.Option(False, "--open", help="Open the page in this machine's browser."),
-    duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
+    duration: float | None = typer.Option(None, min=0.0, help="End after so many seconds; else when interrupted."),
 ) -> None:
     """Show a recorded run, or a robot over the network, in the browser."""
     from longreach.errors import ConfigError
 
     if (recording is None) == (connect is None):
         raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
+    if export is None:
+        _check_port(port)
+    elif not export.exists():
+        from longreach.io.whole_files import check_folder
+
+        check_folder(export)
     if recording is not None:
         _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:
         from longreach.cli.tokens import read_token
 
         _show_robot(connect, read_token(token_file), certificates, port, open, duration)
+
+
+def _check_port(port: int) -> None:
+    """Raise a ConfigError where no page can be served at a port; viser would take the next one that is free."""
+    import socket
+
+    from longreach.errors import ConfigError
+
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise ConfigError(f"No page can be served at port {port}: {error.strerror}; choose a --port.") from error
 
 
 def _show_recording(
@@ -41,10 +61,13 @@ def _show_recording(
     browser: bool,
     duration: float | None,
 ) -> None:
+    from longreach.io.robots import load_robot
     from longreach.view.page import open_page
     from longreach.view.player import Player
     from longreach.view.replay import read_run
 
+    if robot is not None:
+        load_robot(robot)  # what is wrong with it is said before anything is read
     typer.echo(f"Reading {recording} …")
     run = read_run(recording, robot, estimate)
     if export is not None:
@@ -90,10 +113,12 @@ def _show_robot(
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import shown_progress
     from longreach.live.client.client import connect
+    from longreach.live.protocol.transport import split_address
     from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.view.page import open_page
     from longreach.view.teleop import Teleop
 
+    split_address(address)
     with shown_progress() as progress:
         warm_up(progress, "kinematics")
     apply_realtime_settings()

@@ -11,8 +11,8 @@ from longreach.live.client.client import Client
 _EVERY = 0.2  # [s]
 
 
-def numbers(text: str, counts: tuple[int, ...], option: str) -> np.ndarray:
-    """Return the numbers in a text with commas between them.
+def numbers(text: str, count: int | None, option: str) -> np.ndarray:
+    """Return the numbers in a text with commas between them; count: how many there must be.
 
     Raises:
         ConfigError: there are not as many, or something else.
@@ -21,8 +21,9 @@ def numbers(text: str, counts: tuple[int, ...], option: str) -> np.ndarray:
         found = np.array([float(word) for word in text.split(",")])
     except ValueError:
         found = np.zeros(0)
-    if len(found) not in counts or not np.isfinite(found).all():
-        raise ConfigError(f"{option} takes {' or '.join(map(str, counts))} numbers with commas between, not {text!r}.")
+    if len(found) != (count or len(found) or 1) or not np.isfinite(found).all():
+        many = "" if count is None else f"{count} "
+        raise ConfigError(f"{option} takes {many}numbers with commas between, not {text!r}.")
     return found
 
 

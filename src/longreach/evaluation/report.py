@@ -39,6 +39,7 @@ figure { margin: 1.6rem 0; }
 figure img { display: block; width: 100%; height: auto; background: #fff; border: 1px solid var(--line);
   border-radius: 6px; }
 figcaption { margin-top: .5rem; color: var(--quiet); font-size: .92rem; }
+.failed { border-left: 4px solid #d55e00; padding-left: .7rem; font-weight: 600; }
 li { margin: .25rem 0; }
 details { margin: 1rem 0; }
 summary { cursor: pointer; }
@@ -76,6 +77,7 @@ def report_html(
     remarks: Sequence[str] = (),
     config_yaml: str = "",
     more: Table | None = None,
+    failures: Sequence[str] = (),
 ) -> str:
     """Return the page.
 
@@ -84,7 +86,9 @@ def report_html(
         figures: name → PNG, in the order in which they are shown. captions: by the same names.
         remarks: what was repaired or left out, a sentence each.
         config_yaml: the configuration that ran. more: the table of all metrics, folded away.
+        failures: which runs did not reach their end and why, a sentence each; they come first.
     """
+    failed = "\n".join(f'<p class="failed">{escape(failure)}</p>' for failure in failures)
     paragraphs = "\n".join(f"<p>{escape(p.strip())}</p>" for p in introduction.split("\n\n") if p.strip())
     shown = "\n".join(_figure(png, captions.get(name, name)) for name, png in figures.items())
     listed = "\n".join(f"<li>{escape(remark)}</li>" for remark in remarks)
@@ -96,7 +100,7 @@ def report_html(
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<header><h1>{escape(title)}</h1>\n{paragraphs}</header>\n"
+        f"<header>{failed}<h1>{escape(title)}</h1>\n{paragraphs}</header>\n"
         + _section("Results", results)
         + _section("Figures", shown)
         + _section("Remarks", f"<ul>\n{listed}\n</ul>" if remarks else "")

@@ -21,6 +21,26 @@ def metric(value: float | int, unit: str) -> Metric:
     return {"value": float(value) if math.isfinite(value) else None, "unit": unit}
 
 
+class Outcome(Metric):
+    """Whether a run reached its end, 1 or 0, or over many runs the share that did; and why not."""
+
+    reason: str
+
+
+REACHED_END = "reached_end"  # the outcome's name among a run's metrics
+
+
+def outcome(reason: str) -> Outcome:
+    """Return the outcome of a run that did not reach its end for a reason; an empty one: it did."""
+    return {"value": int(not reason), "unit": "", "reason": reason}
+
+
+def failures(metrics: Mapping[str, Mapping[str, Metric]]) -> list[str]:
+    """Return for each run that did not reach its end a sentence that says why."""
+    reasons = {who: named.get(REACHED_END, {}).get("reason") for who, named in metrics.items()}
+    return [f"{who} did not reach its end: {reason}" for who, reason in reasons.items() if reason]
+
+
 @dataclass(frozen=True)
 class Table:
     """Text in rows: a metric and its unit, then one column per trajectory or source."""

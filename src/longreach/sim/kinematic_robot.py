@@ -54,6 +54,7 @@ class KinematicRobot:
         config: KinematicConfig | None = None,
     ) -> None:
         self.robot, self.config = robot, config or KinematicConfig()
+        self.hit = ""  # without forces it passes through everything
         self.world = world if isinstance(world, World) else load_world(world)
         self.capabilities: Capabilities = capabilities_of(robot, self.config.timeout)
         self._hand, self._gripper, self._step, self._stopped = Hand.of(robot), GripperDriver(), 0, ""

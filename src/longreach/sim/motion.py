@@ -11,7 +11,7 @@ from longreach.robot.bases import MecanumBase
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim._driver_kernels import planar
 from longreach.sim.drivers import ArmDriver, BaseDriver, GripperDriver
-from longreach.sim.mujoco_model import STEP, compiled, engine, mjcf, set_gains
+from longreach.sim.mujoco_model import STEP, THING, compiled, engine, mjcf, set_gains
 from longreach.sim.places import Places
 from longreach.sim.simulated import Truth, arm_limits
 from longreach.sim.worlds import World
@@ -44,7 +44,7 @@ class Motion:
         start = (state, self.data.sensordata, q[robot.base])
         self._pages, self._end = [np.tile(values, (_PAGE, 1)) for values in start], PAST
         self._turn(0)
-        self._rollout = engine("rollout").Rollout(nthread=0)
+        self._rollout, self._floor = engine("rollout").Rollout(nthread=0), self.model.geom("floor").id
         base, description = robot.description.base, robot.description
         if not isinstance(base, MecanumBase):
             raise ConfigError(f"{robot.name} has no mecanum wheels.")
@@ -113,6 +113,13 @@ class Motion:
         torque = LEVER * self.gripper.force
         self.model.actuator_forcerange[at.finger_motors] = (-torque, torque)
         return ctrl
+
+    def touching(self) -> str:
+        """Return the name of a link that touches something else than the floor at the newest step, or nothing."""
+        pairs = self.data.contact.geom
+        touching = pairs[(pairs != self._floor).all(axis=1)]
+        bodies = [self.model.body(self.model.geom_bodyid[geom]).name for pair in touching for geom in pair]
+        return next((name for name in bodies if not name.startswith(THING)), "")
 
     def truth(self) -> Truth:
         """Return what is, now."""

@@ -37,6 +37,7 @@ _WHEEL_GAIN = 30.0  # torque for an error in speed [N m s]; ours: 230 kg follow 
 _WHEEL_ARMATURE = 0.06
 _ROLLER_MASS_PART = 0.2  # of a wheel's mass that is its rollers'; ours
 _ARMATURE = 1.0 / 300.0  # a motor's inertia behind its gear for each N m that the joint can give [kg m²]; ours
+THING = "thing_"  # begins the names of the world's bodies, before their numbers
 _ROBOT = "2"  # bit of contact: the robot but for its rollers meets the world's things
 
 
@@ -131,7 +132,7 @@ def _world(root: Element, world: World) -> Element:
         stands = {"pos": numbers([x, y, 0.5 * (low + high)]), "euler": numbers([0.0, 0.0, yaw])}
         kind, tall = ("box", [length, width]) if width > 0 else ("cylinder", [length]), 0.5 * (high - low)
         shape = {"type": kind[0], "size": numbers([*kind[1], tall]), "rgba": "0.85 0.83 0.78 1"}
-        body = SubElement(place, "body", stands, name=f"thing_{i}")
+        body = SubElement(place, "body", stands, name=f"{THING}{i}")
         SubElement(body, "geom", meets | shape, conaffinity=_ROBOT)
     return place
 

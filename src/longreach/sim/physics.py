@@ -77,6 +77,7 @@ class Simulation:
         self._capabilities = capabilities_of(robot, self.config.timeout)
         self._motion = Motion(robot, self.world, robot.home if q is None else q, self.config.stiffness)
         self._pictures, self._stopped, self._glimpses = Pictures(self._motion.model), "", []
+        self.hit = ""
         self._fit_sensors(seed)
         self._sense()
 
@@ -140,6 +141,8 @@ class Simulation:
         end = motion.step + round(duration / STEP)
         while motion.step < end:
             motion.run(min(AT_ONCE, end - motion.step))
+            if not self.hit and (link := motion.touching()):
+                self.hit = f"{link} ran into something {self.stamp:.1f} s after the start."
             self._sense()
         if not np.isfinite(motion.qpos[-1]).all():
             raise ConfigError("The physics has become unstable; send gentler commands.")

@@ -30,10 +30,14 @@ class Truth:
 
 @runtime_checkable
 class Simulated(Hardware, Protocol):
-    """A simulated robot in a world; time passes in `advance` alone."""
+    """A simulated robot in a world; time passes in `advance` alone.
+
+    hit: what of the robot ran into something first, and when, as a sentence; empty where nothing did.
+    """
 
     robot: MobileManipulator
     world: World
+    hit: str
 
     @property
     def stamp(self) -> float:

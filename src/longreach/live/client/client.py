@@ -16,10 +16,11 @@ from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Capabilities, Command, GripperCommand, Readings, capabilities_of
-from longreach.errors import LiveError
+from longreach.errors import LiveError, PlanningError
+from longreach.geometry import se3
 from longreach.io import messages
 from longreach.live.client import motions
-from longreach.live.client.connection import Connection, read_description
+from longreach.live.client.connection import Connection, explained, read_description
 from longreach.live.client.state import LiveState
 from longreach.live.client.subscriber import Subscriber
 from longreach.live.protocol import commands, topics
@@ -31,6 +32,13 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
 _PATIENCE = 5.0  # with a plan that does not get on [s]
+_CONFIRMED = 1.0  # for how long we wait until the robot says that it has done what it was asked for [s]
+_SETTLING = 1.0  # for how long it may take, after the end of a plan, until the robot is there [s]
+_SILENT = 1.0  # who was not heard for so long is to be named [s]
+# So near is there, by the robot's own estimate: what its side calls arrived (5 mm, 5 mrad), the base's estimate being
+# noisy by as much; and what the tool, at the end of all that, is to be off at most [rad], [m].
+_JOINT, _BASE, _TURN = 0.005, 0.01, np.radians(0.5)
+_TOOL = 0.005
 
 
 def connect(
@@ -50,11 +58,17 @@ def connect(
     Raises:
         LiveError: nobody answers there, or the server refuses us.
     """
+    if not commands.numbers(timeout, "The timeout", ()) > 0.0:
+        raise LiveError(f"The timeout is {timeout:g} s; give it more than 0 s.")
     connection = Connection(address, token, None if certificates is None else Path(certificates), timeout)
     try:
-        client = Client(connection, name or f"{getpass.getuser()}@{socket.gethostname()}")
+        with explained():
+            client = Client(connection, name or _own_name())
         connection.start()
-        if client._subscriber.wait(lambda: client._subscriber.state, timeout) is None:
+        if (
+            client._subscriber.wait(lambda: client._subscriber.tick_status and client._subscriber.state, timeout)
+            is None
+        ):
             raise LiveError(f"The robot at {address} has not said within {timeout:g} s where it is.")
     except BaseException:
         connection.close()
@@ -63,8 +77,18 @@ def connect(
     return client
 
 
+def _own_name() -> str:
+    with suppress(OSError, KeyError, ImportError):  # a user without a name
+        return f"{getpass.getuser()}@{socket.gethostname()}"
+    return "somebody"
+
+
 class Client:
-    """A robot at the other end of a network; made by `connect`. All of it may be called from any thread."""
+    """A robot at the other end of a network; made by `connect`. All of it may be called from any thread.
+
+    What it raises is a LongreachError. All that moves the robot raises a LiveError while it is stopped until `reset`,
+    while another client holds it, and where a number cannot be meant: see `longreach.live.protocol.commands`.
+    """
 
     def __init__(self, connection: Connection, name: str) -> None:
         self._connection, self.name = connection, name
@@ -130,12 +154,12 @@ class Client:
     def on_state(self, callback: Callable[[LiveState], None]) -> Callable[[], None]:
         """Call back with each new state, from the network's thread: be quick there. Returns what ends it."""
         self._subscriber.on_state.append(callback)
-        return lambda: self._subscriber.on_state.remove(callback)
+        return _ending(self._subscriber.on_state, callback)
 
     def on_scan(self, callback: Callable[[LaserScan], None]) -> Callable[[], None]:
         """Call back with each new scan, from the network's thread. Returns what ends it."""
         self._subscriber.on_scan.append(callback)
-        return lambda: self._subscriber.on_scan.remove(callback)
+        return _ending(self._subscriber.on_scan, callback)
 
     def __iter__(self) -> Iterator[LiveState]:
         """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
@@ -154,20 +178,25 @@ class Client:
         Raises:
             LiveError: there is no such frame, or none at that time.
         """
-        return self._subscriber.frames.lookup(target, source, stamp)
+        when = None if stamp is None else float(commands.numbers(stamp, "The stamp", ()))
+        return self._subscriber.frames.lookup(str(target), str(source), when)
 
     def read(self) -> Readings:
         """Return what was said since the last call, without waiting; wheels, IMU and wrench from the first call on."""
-        self._subscriber.sense()
+        with explained():
+            self._subscriber.sense()
         return self._subscriber.readings(self._connection.now)
 
     def write(self, command: Command) -> None:
         """Send velocities or positions, from now on for 0.25 s; takes the robot where nobody holds it.
 
         Raises:
-            LiveError: another client holds the robot.
+            LiveError: another client holds the robot, it is stopped, or a number cannot be meant.
         """
-        self._take_if_free()
+        if not isinstance(command, Command):
+            raise LiveError("Give write a longreach.Command.")
+        commands.check_command(command, self._robot)
+        self._begin()
         stamp = self._connection.now
         if command.base is not None:
             self._connection.send(topics.TWIST, commands.twist_message(stamp, command.base))
@@ -182,13 +211,15 @@ class Client:
     def velocity(self, arm: Float[np.ndarray, " m"] | None = None, base: Float[np.ndarray, "3"] | None = None) -> None:
         """Send velocities of the arm's joints (m,) [rad/s] and a body twist of the base (3,); None: zero."""
         robot = self._robot
-        still = np.zeros(3) if robot.base.stop else None
-        arm = np.zeros(robot.dof - robot.base.stop) if arm is None else arm
-        self.write(Command(self._connection.now, arm, "velocity", still if base is None else base))
+        joints, still = robot.dof - robot.base.stop, np.zeros(3) if robot.base.stop else None
+        speeds = np.zeros(joints) if arm is None else commands.numbers(arm, "Velocities of the arm", (joints,))
+        twist = still if base is None else commands.numbers(base, "A velocity of the base", (3,))
+        self.write(Command(self._connection.now, speeds, "velocity", twist))
 
     def gripper(self, value: float, mode: Literal["position", "velocity", "force"] = "position") -> None:
         """Close the fingers: position 0 open to 1 closed, velocity [1/s], or force [N]."""
-        self.write(Command(self._connection.now, gripper=GripperCommand(mode, float(value))))
+        closed = float(commands.numbers(value, "What the gripper is to do", ()))
+        self.write(Command(self._connection.now, gripper=GripperCommand(mode, closed)))
 
     def plan(
         self, goal: Reference | Float[np.ndarray, "4 4"], method: Method = "task-priority"
@@ -198,27 +229,65 @@ class Client:
         The answer begins and ends at rest, within the robot's limits of speed and acceleration.
 
         Raises:
-            PlanningError: there is no way there.
+            PlanningError: there is no way there. LiveError: the pose is not of finite numbers.
         """
         if isinstance(goal, Reference):
             return motions.along(self._robot, self.state.q, goal, method)
-        return motions.to_pose(self._robot, self.state.q, goal, method)
+        T = commands.rigid(goal, "A pose of the tool")
+        plan = motions.to_pose(self._robot, self.state.q, T, method)
+        if away := _tool_away(self._robot, plan.q[-1], T, 0.5):
+            raise PlanningError(f"The plan would end where {away}; choose a pose that the robot can reach.")
+        return plan
 
     def execute(
         self, trajectory: ConfigurationTrajectory, wait: bool = True, timeout: float | None = None
     ) -> LiveState:
-        """Let the robot follow a trajectory of all its joints; with `wait` return when it has ended.
+        """Let the robot follow a trajectory of all its joints; with `wait` return when it is where that ends.
+
+        There is within 5 mrad of each joint of the arm, and 1 cm and 0.5° of the base, by the robot's own estimate.
 
         Raises:
-            LiveError: the robot refuses it, or was stopped on the way; the sentence says why.
+            LiveError: the robot refuses it, was stopped on the way, or does not arrive; the sentence says why, and how
+                far off it is.
         """
-        self._take_if_free()
+        if not isinstance(trajectory, ConfigurationTrajectory):
+            raise LiveError("Give execute a trajectory, as plan returns it.")
+        return self._execute(
+            trajectory, wait, timeout, lambda state: _joints_away(self._robot, state.q, trajectory.q[-1])
+        )
+
+    def _execute(
+        self,
+        trajectory: ConfigurationTrajectory,
+        wait: bool,
+        timeout: float | None,
+        away: Callable[[LiveState], str],
+    ) -> LiveState:
+        """Follow a trajectory; away: says how far from its end a state is, and nothing where that is near enough."""
+        patience = None if timeout is None else float(commands.numbers(timeout, "The timeout", ()))
+        commands.check_trajectory(trajectory, self._robot)
+        self._begin()
         answer = self._connection.ask(
             topics.EXECUTE, messages.joint_trajectory(TYPES, self._connection.now, trajectory)
         )
-        return self._wait_for(int(answer.split()[-1]), timeout) if wait else self.state
+        if not wait:
+            return self.state
+        word, _, number = answer.partition(" ")
+        if word != "plan" or not number.isdecimal():
+            raise LiveError("The robot's answer cannot be read; is this a longreach server?")
+        self._ended(int(number), patience, away)
+        self._subscriber.wait(lambda: not away(self.state), _SETTLING)
+        if off := away(self.state):
+            raise LiveError(f"The plan has ended, but {off}: {self._why('it stands still there')}")
+        return self.state
 
-    def _wait_for(self, plan: int, timeout: float | None) -> LiveState:
+    def _why(self, otherwise: str) -> str:
+        """Return why the robot does not do what it should, as far as it is known, as the end of a sentence."""
+        silent = f"the robot was not heard for {self.age:.1f} s" if self.age > _SILENT else ""
+        return _ended_sentence(silent or self.state.stop or otherwise)
+
+    def _ended(self, plan: int, timeout: float | None, away: Callable[[LiveState], str]) -> None:
+        """Return when a plan, given by its number, has ended."""
         subscriber = self._subscriber
 
         def over() -> bool:
@@ -229,12 +298,13 @@ class Client:
         before = None
         while not subscriber.wait(over, _PATIENCE if timeout is None else timeout):
             if timeout is not None or subscriber.tick_status.get("progress") == before:
-                raise LiveError(f"The plan has not ended in time: {self.state.stop or 'it still goes on'}.")
+                off = away(self.state) or "the robot is where it ends"
+                raise LiveError(f"The plan has not ended in time, {off}: {self._why('it still goes on')}")
             before = subscriber.tick_status.get("progress")  # a simulation may be slow, a robot wait for its client
         state = self.state
         if state.plan > plan or state.progress < 1.0:
-            raise LiveError(f"The plan ended early: {state.stop or 'the robot was asked for something else'}.")
-        return state
+            off = away(state) or "where it should have"
+            raise LiveError(f"The plan ended early, {off}: {self._why('the robot was asked for something else')}")
 
     def move_to(
         self,
@@ -242,17 +312,29 @@ class Client:
         wait: bool = True,
         method: Method = "task-priority",
     ) -> LiveState:
-        """Move straight to a configuration q (n,), base first, or (m,) of the arm, or plan to a tool pose (4, 4)."""
-        q = self.state.q
-        if np.ndim(goal) == 2:
-            return self.execute(motions.to_pose(self._robot, q, goal, method), wait)
-        target = np.concatenate([q[: self._robot.base.stop], goal]) if len(goal) < len(q) else goal
-        return self.execute(motions.straight(self._robot, q, target), wait)
+        """Move straight to a configuration q (n,), base first, or (m,) of the arm, or plan to a tool pose (4, 4).
+
+        With `wait` it returns when the robot is there by its own estimate: the tool within 5 mm and 0.5° of a pose; for
+        a configuration see `execute`.
+
+        Raises:
+            PlanningError: the goal is outside the joints' limits, or there is no way to it.
+            LiveError: the robot refuses it, was stopped on the way, or does not arrive; the sentence says why, and how
+                far off it is.
+        """
+        robot, q = self._robot, self.state.q
+        target = commands.numbers(goal, "A goal", (4, 4), (robot.dof,), (robot.dof - robot.base.stop,))
+        if target.ndim == 2:
+            plan = self.plan(target, method)
+            return self._execute(plan, wait, None, lambda state: _tool_away(robot, state.q, target))
+        target = np.concatenate([q[: robot.dof - len(target)], target])
+        return self.execute(motions.straight(robot, q, target), wait)
 
     def reach(self, T_map_tool: Float[np.ndarray, "4 4"]) -> None:
         """Let the arm pull the tool to a pose at once, the base standing; send it anew as a dragged gizmo moves."""
-        self._take_if_free()
-        self._connection.send(topics.TOOL, messages.tool_pose(TYPES, self._connection.now, T_map_tool))
+        T = commands.rigid(T_map_tool, "A pose of the tool")
+        self._begin()
+        self._connection.send(topics.TOOL, messages.tool_pose(TYPES, self._connection.now, T))
 
     def hold(self) -> None:
         """Let the robot stand where it is; ends a plan."""
@@ -262,11 +344,13 @@ class Client:
     def stop(self, reason: str = "The client says stop.") -> None:
         """Brake at once, whoever holds the robot; it stays so until `reset`."""
         self._connection.order(f"stop {reason}")
+        self._subscriber.wait(lambda: self._latched, _CONFIRMED)
 
     def reset(self) -> None:
         """Let the robot move again after a stop that holds."""
         self._take_if_free()
         self._connection.order("reset")
+        self._subscriber.wait(lambda: not self._latched, _CONFIRMED)
 
     def take(self) -> None:
         """Take the robot, so that this client's commands count and others' do not.
@@ -275,7 +359,17 @@ class Client:
             LiveError: another client holds it; the sentence names it.
         """
         self._connection.take(self.name)
-        self._subscriber.wait(lambda: self.holds, 1.0)
+        self._subscriber.wait(lambda: self.holds, _CONFIRMED)
+
+    @property
+    def _latched(self) -> bool:
+        return self._subscriber.tick_status.get("latched") == "1"
+
+    def _begin(self) -> None:
+        """Take the robot where nobody holds it, unless it is stopped: then nothing moves it."""
+        if self._latched:
+            raise LiveError(f"The robot is stopped: {_ended_sentence(self.state.stop)} Clear it with reset() first.")
+        self._take_if_free()
 
     def _take_if_free(self) -> None:
         if not self.holds:
@@ -302,3 +396,43 @@ class Client:
     def __exit__(self, *_: object) -> None:
         """Hang up."""
         self.close()
+
+
+def _ending(callbacks: list[Callable[..., None]], callback: Callable[..., None]) -> Callable[[], None]:
+    """Return what takes a callback away; called again, it does nothing."""
+
+    def end() -> None:
+        with suppress(ValueError):
+            callbacks.remove(callback)
+
+    return end
+
+
+def _ended_sentence(text: str) -> str:
+    return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+def _tool_away(
+    robot: MobileManipulator, q: Float[np.ndarray, " n"], T: Float[np.ndarray, "4 4"], part: float = 1.0
+) -> str:
+    """Return how far the tool at q (n,) is from a pose, or nothing where that is within `part` of what is allowed."""
+    now = robot.forward(q)
+    way = float(np.linalg.norm(now[:3, 3] - T[:3, 3]))
+    turn = float(np.linalg.norm(se3.difference(now, T)[3:]))
+    if way <= part * _TOOL and turn <= part * _TURN:
+        return ""
+    return f"the tool is {1e3 * way:.1f} mm and {np.degrees(turn):.2f}° off"
+
+
+def _joints_away(robot: MobileManipulator, q: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"]) -> str:
+    """Return how far q (n,) is from a configuration, or nothing where that is near enough."""
+    off = q - goal
+    base, arm = off[robot.base], np.abs(off[robot.arm])
+    if robot.base.stop:
+        way, turn = float(np.hypot(base[0], base[1])), abs((base[2] + np.pi) % (2.0 * np.pi) - np.pi)
+        if way > _BASE or turn > _TURN:
+            return f"the base is {1e3 * way:.0f} mm and {np.degrees(turn):.2f}° off"
+    if arm.max(initial=0.0) > _JOINT:
+        i = int(arm.argmax())
+        return f"{robot.joint_names[robot.arm][i]} is {1e3 * arm[i]:.0f} mrad off"
+    return ""

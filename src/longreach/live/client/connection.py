@@ -4,8 +4,8 @@ import secrets
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
@@ -23,12 +23,39 @@ from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _ANSWER = 2.0  # for how long an answer is waited for [s]
+_WORDS = 200  # characters of an order that a robot reads
 _UNCONFIRMED = 2.0  # for how long we believe that we hold the robot where it does not say so [s]
 _PINGS, _PING_EVERY = 20, 1.0  # of how many the fastest tells the offset of the clocks; from one to the next [s]
 
 
+@contextmanager
+def explained() -> Iterator[None]:
+    """Say in a LiveError what zenoh says of a connection that is closed, or was lost for good."""
+    try:
+        yield
+    except transport.zenoh().ZError as error:
+        raise LiveError("The connection with the robot is closed; connect again.") from error
+
+
+def _packed(topic: Topic, message: Any) -> bytes:
+    try:
+        payload = topic.pack(message)
+    except Exception as error:  # it has what CDR does not, such as half of a character
+        raise LiveError(f"What was to be sent on {topic.name} cannot be written as a message.") from error
+    if len(payload) > topic.limit:
+        raise LiveError(f"What was to be sent on {topic.name} has {len(payload)} bytes, of {topic.limit} at most.")
+    return payload
+
+
+def _unpacked(topic: Topic, payload: Any) -> Any:
+    try:
+        return topic.unpack(bytes(payload))
+    except Exception as error:
+        raise LiveError(f"The robot's message on {topic.name} cannot be read; is this a longreach server?") from error
+
+
 class Connection:
-    """A connection with a robot."""
+    """A connection with a robot. All that fails in it is a LiveError."""
 
     def __init__(self, address: str, token: str | None, certificates: Path | None, timeout: float) -> None:
         self.session = transport.open_client(address, token, certificates, timeout)
@@ -68,18 +95,21 @@ class Connection:
 
     def lasting(self, topic: Topic) -> Any:
         """Return the message of a topic that is said once and lasts, or None where there is none."""
-        for reply in self.session.get(topic.key, timeout=_ANSWER):
+        with explained():
+            replies = self.session.get(topic.key, timeout=_ANSWER)
+        for reply in replies:
             sample = reply.ok
             if sample is None or len(sample.payload) > topic.limit or sample.attachment is None:
                 continue
-            self._nonce = unpack_header(bytes(sample.attachment))[0].sender
-            return topic.unpack(bytes(sample.payload))
+            with suppress(ValueError):
+                self._nonce = unpack_header(bytes(sample.attachment))[0].sender
+                return _unpacked(topic, sample.payload)
         return None
 
     def send(self, topic: Topic, message: Any) -> None:
         """Send a message that nobody answers."""
-        payload = topic.pack(message)
-        with self._lock:  # so that numbers arrive in their order
+        payload = _packed(topic, message)
+        with self._lock, explained():  # so that numbers arrive in their order
             self.session.put(topic.key, payload, attachment=self._signed(topic, payload), express=True)
 
     def ask(self, topic: Topic, message: Any, sent: Callable[[], None] = lambda: None) -> str:
@@ -88,15 +118,15 @@ class Connection:
         Raises:
             LiveError: there is no answer, or the robot refuses.
         """
-        payload = topic.pack(message)
-        with self._lock:
+        payload = _packed(topic, message)
+        with self._lock, explained():
             header = self._signed(topic, payload)
             replies = self.session.get(topic.key, payload=payload, attachment=header, timeout=_ANSWER)
         sent()
         for reply in replies:
             if reply.ok is None or len(reply.ok.payload) > topics.ORDER.limit:
                 continue
-            answer = topics.ORDER.unpack(bytes(reply.ok.payload)).data
+            answer = _unpacked(topics.ORDER, reply.ok.payload).data
             if answer.startswith("refused: "):
                 raise LiveError(_sentence(answer.removeprefix("refused: ")))
             return answer
@@ -114,7 +144,7 @@ class Connection:
             self.holds = True
 
         try:
-            self.ask(topics.ORDER, TYPES["std_msgs/msg/String"](f"take {name}"), sent)
+            self.order(f"take {name}", sent)
         except LiveError:
             self.holds = False
             raise
@@ -126,9 +156,10 @@ class Connection:
             self._heartbeat.rest()
         self.order("release")
 
-    def order(self, words: str) -> str:
-        """Ask for what a few words say."""
-        return self.ask(topics.ORDER, TYPES["std_msgs/msg/String"](words))
+    def order(self, words: str, sent: Callable[[], None] = lambda: None) -> str:
+        """Ask for what a few words say; a stop gets through whatever its reason holds."""
+        writable = words[:_WORDS].encode("utf-8", "replace").decode("utf-8")
+        return self.ask(topics.ORDER, TYPES["std_msgs/msg/String"](writable), sent)
 
     def _signed(self, topic: Topic, payload: bytes) -> bytes:
         """Return the header of a payload; numbers are of the machine's clock, as those of our heartbeat are."""
@@ -141,10 +172,12 @@ class Connection:
         header, Time = messages.header(TYPES, time.time(), ""), TYPES["builtin_interfaces/msg/Time"]
         asked = TYPES["sensor_msgs/msg/TimeReference"](header, Time(header.stamp.sec, header.stamp.nanosec), "client")
         sent = time.time()
-        for reply in self.session.get(topics.CLOCK.key, payload=topics.CLOCK.pack(asked), timeout=_ANSWER):
+        with explained():
+            replies = self.session.get(topics.CLOCK.key, payload=topics.CLOCK.pack(asked), timeout=_ANSWER)
+        for reply in replies:
             if reply.ok is not None:
                 took = time.time() - sent
-                answer = topics.CLOCK.unpack(bytes(reply.ok.payload))
+                answer = _unpacked(topics.CLOCK, reply.ok.payload)
                 self._pings.append((took, commands.stamp_of(answer) - (sent + 0.5 * took)))
 
     def _compare_clocks(self) -> None:
@@ -190,7 +223,8 @@ class Connection:
                 thread.join(2.0 * _ANSWER)
         if self._heartbeat is not None:
             self._heartbeat.close()
-        self.session.close()
+        with suppress(transport.zenoh().ZError):
+            self.session.close()
 
 
 def _sentence(reason: str) -> str:
@@ -207,7 +241,11 @@ def read_description(connection: Connection) -> MobileManipulator:
     description, urdf = connection.lasting(topics.DESCRIPTION), connection.lasting(topics.URDF)
     if description is None or urdf is None:
         raise LiveError("The robot does not describe itself; is this a longreach server?")
-    model = validated(RobotDescription, yaml.safe_load(description.data), "the robot's description")
+    try:
+        known = yaml.safe_load(description.data)
+    except yaml.YAMLError as error:
+        raise LiveError("The robot's description is not YAML; is this a longreach server?") from error
+    model = validated(RobotDescription, known, "the robot's description")
     with tempfile.TemporaryDirectory() as folder:
         if model.arm is not None and model.arm.urdf is not None:  # wherever the server has it, not there
             model = model.model_copy(update={"arm": model.arm.model_copy(update={"urdf": "robot.urdf"})})

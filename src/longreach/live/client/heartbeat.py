@@ -54,7 +54,7 @@ class Heartbeat:
         self._say(_RESTS)
 
     def _say(self, word: bytes) -> None:
-        with suppress(OSError):  # it has ended
+        with suppress(OSError, ValueError):  # it has ended, or the pipe is closed
             self._to.write(word)
 
     def close(self) -> None:

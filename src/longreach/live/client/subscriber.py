@@ -8,13 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from queue import SimpleQueue
-from threading import Condition, Thread
+from threading import Condition, Lock, Thread, current_thread
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Readings
+from longreach.errors import LiveError
 from longreach.io import records
 from longreach.live.client.state import LiveState
 from longreach.live.protocol import commands, topics
@@ -70,9 +71,10 @@ class Subscriber:
         self._new: dict[str, deque[Any]] = {
             name: deque(maxlen=_KEPT) for name in ("wheels", "scans", "imu", "joints", "wrenches")
         }
-        self._session, self._senses = session, False
+        self._session, self._senses, self._reading = session, False, Lock()
         self._waiting: SimpleQueue[Any] = SimpleQueue()
-        Thread(target=self._hear, name="hearing", daemon=True).start()
+        self._thread = Thread(target=self._hear, name="hearing", daemon=True)
+        self._thread.start()
         parts = (topics.ESTIMATE, topics.WHEELS_ALONE, topics.TOOL_TRUTH, topics.REFERENCE, self.sensed.truth)
         takes = {topic: partial(self._parts.__setitem__, topic) for topic in parts}
         takes |= {
@@ -136,8 +138,11 @@ class Subscriber:
 
     def _take_status(self, payload: bytes) -> None:
         one = topics.STATUS.unpack(payload).status[0]
+        status = {item.key: item.value for item in one.values} | {"stop": one.message}
+        for name, kind in (("plan", int), ("progress", float)):
+            kind(status.get(name) or 0)  # raises where it is no number
         with self.changed:
-            self.status = {item.key: item.value for item in one.values} | {"stop": one.message}
+            self.status = status
             self.changed.notify_all()
 
     def _take_plan(self, payload: bytes) -> None:
@@ -186,25 +191,37 @@ class Subscriber:
         if said is not None and said is not known:
             try:
                 state = self._made(said)
-            except Exception:
+            except LiveError:
                 self._cannot_use(self.sensed.arm)
             self._known = said, state
         return state
 
     def _made(self, said: _Said) -> LiveState:
-        return made_state(self.robot, self.sensed, said.payloads, said.status)
+        try:
+            state = made_state(self.robot, self.sensed, said.payloads, said.status)
+        except Exception as error:
+            raise LiveError("What the robot said then cannot be read.") from error
+        if not np.isfinite(np.concatenate([[state.stamp], state.q, state.velocity])).all():
+            raise LiveError("What the robot said then has a number that is not finite.")
+        return state
 
     def readings(self, stamp: float) -> Readings:
         """Return what has come since the last call."""
-        taken = {kind: tuple(new.popleft() for _ in range(len(new))) for kind, new in self._new.items()}
+        taken = {}
+        for kind, new in self._new.items():
+            with self._reading:
+                taken[kind] = tuple(new.popleft() for _ in range(len(new)))
         return replace(Readings(stamp), **taken)
 
     def wait(self, ready: Callable[[], _T | None], timeout: float) -> _T | None:
-        """Return what `ready` returns as soon as that is something, or None after a time [s]."""
-        until = time.monotonic() + timeout
+        """Return what `ready` returns as soon as that is something, or None after a time [s].
+
+        A callback's thread does not wait: it is the one that hears.
+        """
+        until = time.monotonic() + (0.0 if current_thread() is self._thread else timeout)
         with self.changed:
             while not (found := ready()) and (left := until - time.monotonic()) > 0.0:
-                self.changed.wait(left)
+                self.changed.wait(min(left, 1.0))  # it cannot wait for ever
             return found or None
 
 

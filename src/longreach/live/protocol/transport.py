@@ -48,7 +48,7 @@ def server_settings(
     """
     if watcher_token is not None and (token is None or token == watcher_token):
         raise LiveError("A watcher's token comes beside an operator's, and is another one: give both.")
-    host, _ = _split(address)
+    host, _ = split_address(address)
     if certificates is None and not _is_loopback(host):
         raise LiveError(
             f"{address} can be reached from other machines: give --certificates, a folder with server.pem, server.key "
@@ -165,15 +165,17 @@ def _opened(settings: Mapping[str, Any], otherwise: str) -> Any:
         raise LiveError(f"{otherwise}.") from error
 
 
-def _split(address: str) -> tuple[str, int]:
+def split_address(address: str) -> tuple[str, int]:
     """Return host and port.
 
     Raises:
         LiveError: it is not host:port.
     """
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdigit():
+    host, _, port = str(address).rpartition(":")
+    if not host or not (port.isascii() and port.isdigit()):
         raise LiveError(f"{address!r} is no address; write it as host:port, such as 127.0.0.1:7447.")
+    if len(port) > 5 or not 0 < int(port) <= 65535:
+        raise LiveError(f"{address} has no port that there is; a port is a number from 1 to 65535.")
     return host, int(port)
 
 
@@ -185,7 +187,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _endpoint(address: str, certificates: Path | None) -> str:
-    host, port = _split(address)
+    host, port = split_address(address)
     return f"{PROTOCOL if certificates is None else 'tls'}/{host}:{port}"
 
 

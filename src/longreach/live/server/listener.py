@@ -71,10 +71,10 @@ class Listener:
         self.plan: ConfigurationTrajectory | None = None
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
         streams = {
-            topics.TWIST: lambda message: self._direct(commands.twist(message)),
+            topics.TWIST: lambda message: self._direct(commands.twist(message, robot)),
             topics.JOINTS: lambda message: self._direct(commands.arm(message, robot)),
             topics.TOOL: lambda message: self._set(goal=ServoGoal(commands.tool(message))),
-            topics.GRIPPER: lambda message: self._set(gripper=commands.gripper(message)),
+            topics.GRIPPER: lambda message: self._set(gripper=commands.gripper(message, robot)),
             topics.HEARTBEAT: lambda message: None,
         }
         questions = {topics.ORDER: self._order, topics.EXECUTE: self._execute}
@@ -198,7 +198,7 @@ class Listener:
         if record is None:
             raise LiveError("The robot is not ready yet.")
         if record.tick.stop is not None and record.tick.stop.latched:
-            raise LiveError(f"The robot is stopped: {record.tick.stop.reason} Reset it first.")
+            raise LiveError(f"The robot is stopped: {record.tick.stop.reason} Clear it with reset() first.")
         plan = commands.trajectory(message, self._robot)
         check_plan(self._robot, plan, record.tick.q, record.state.config)
         around = record.state.gate.obstacles
