@@ -100,6 +100,15 @@ def test_a_pose_of_the_tool_is_planned_and_reached(client):
     assert np.allclose(client.robot.forward(client.plan_running.q[-1])[:3, 3], T[:3, 3], atol=1e-3)
 
 
+def test_the_command_line_moves_the_tool_by_sqp(client, served, capsys):
+    T = _at(client)
+    client.release()
+    with pytest.raises(SystemExit) as ended:
+        main(["connect", served.address, "--tool-by", "0.1,0.1,0.05", "--method", "sqp"])
+    assert not ended.value.code, capsys.readouterr().err
+    assert np.linalg.norm(_at(client)[:3, 3] - T[:3, 3] - [0.1, 0.1, 0.05]) < 0.005
+
+
 def test_angles_of_the_arm_are_reached_and_the_fingers_close(client):
     goal = client.state.q[3:] + 0.05
     client.gripper(0.5)
