@@ -134,9 +134,18 @@ def test_a_stop_comes_through_in_50_milliseconds_and_holds_until_the_reset(clien
     other.stop("That is enough.")
     until(lambda: client.state.stop == "That is enough.")
     assert client.state.latched
+    assert client.state.cause == "emergency stop"
+    assert client.state.stopped_by == "a client that does not hold the robot"
+    assert began <= client.state.stopped_at <= client.state.stamp
     assert client.state.stamp - began < 0.2  # it was seen here, by a slow client; the bar is the benchmark's
     with pytest.raises(LiveError, match=r"stopped: That is enough\. Reset it first"):
         client.move_to(client.state.q)
+    client.reset()
+    until(lambda: client.state.stop == "")
+    assert (client.state.cause, client.state.stopped_by) == ("", "")
+    client.stop()
+    until(lambda: client.state.latched)
+    assert client.state.stopped_by == "the first"
     client.reset()
     until(lambda: client.state.stop == "")
 

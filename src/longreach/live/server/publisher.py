@@ -88,6 +88,8 @@ def status(record: TickRecord, values: Mapping[str, str]) -> Any:
         "goal": goal_name(record),
         "loop_time": f"{record.loop_time:.6f}",
         "latched": str(int(stop is not None and stop.latched)),
+        "cause": "" if stop is None else stop.cause,
+        "since": "" if stop is None else f"{stop.since:.6f}",
         "progress": f"{goal.progress:.6f}" if isinstance(goal, Follow) else "",
     }
     KeyValue, Status = TYPES["diagnostic_msgs/msg/KeyValue"], TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
