@@ -40,6 +40,29 @@ def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_
     assert page.errors == []
 
 
+@pytest.mark.parametrize("eye", [(0.0, -0.01, 2.5), (-0.3, -2.0, 0.8)], ids=["from above", "from the side"])
+def test_the_ellipse_is_seen_though_it_is_smaller_than_the_base(page, server, pretender, tmp_path, eye):
+    page.set_viewport_size({"width": 1000, "height": 700})
+    teleop = Teleop(server, pretender, tmp_path)
+    opened(page, server)
+    until(lambda: server.get_clients(), page)
+    page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
+    page.wait_for_timeout(2000)
+    (viewer,) = server.get_clients().values()
+    viewer.camera.position, viewer.camera.look_at = np.array(eye), np.array([0.0, 0.0, 0.3])
+    pictures = []
+    for covariance in (1e-12, 1e-4):  # ten times 25 mm is the larger one's radius: the base is 0.4 m to the side
+        pretender.covariance = covariance * np.eye(3)
+        teleop.show()
+        page.wait_for_timeout(1500)
+        pictures.append(picture(page, tmp_path / "a.png"))
+    before, after = pictures
+    changed = np.abs(after - before).max(axis=2) > 20
+    assert np.mean(changed) > 0.0015
+    blue = after[changed].mean(axis=0)
+    assert blue[2] > blue[0] + 40
+
+
 def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
     Teleop(server, pretender, tmp_path)
     opened(page, server)

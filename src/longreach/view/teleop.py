@@ -84,6 +84,7 @@ class Teleop:
             "Record", color="gray", hint="All states and scans, into out/session-….mcap"
         )
         self.record_button.on_click(lambda _: self._try(self.record))
+        self._magnified = gui.add_dropdown("Ellipse", ("1 ×", "10 ×", "50 ×"), initial_value="10 ×")
         self._follow = gui.add_checkbox("Camera follows the base", False)
         with gui.add_folder("Legend"):
             add_legend(self._server, _SHOWN)
@@ -234,9 +235,9 @@ class Teleop:
         tool = robot.forward(state.q)
         with self._server.atomic():
             self._take_scan(count)
-            self.scene.show(
-                Frame(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, *self._scan[1:])
-            )
+            self.scene.magnified = float(self._magnified.value.split()[0])
+            truth = (state.truth, state.tool_truth)
+            self.scene.show(Frame(state.q, state.covariance, state.wheels, *truth, *self._scan[1:], state.joints))
             if robot.base.stop:
                 self._trails["base driven"].grow(np.array([*state.q[:2], 0.0]))
             self._trails["tool driven"].grow(tool[:3, 3])
