@@ -100,6 +100,15 @@ def test_a_pose_of_the_tool_is_planned_and_reached(client):
     assert np.allclose(client.robot.forward(client.plan_running.q[-1])[:3, 3], T[:3, 3], atol=1e-3)
 
 
+def test_the_command_line_moves_the_tool_by_sqp(client, served, capsys):
+    T = _at(client)
+    client.release()
+    with pytest.raises(SystemExit) as ended:
+        main(["connect", served.address, "--tool-by", "0.1,0.1,0.05", "--method", "sqp"])
+    assert not ended.value.code, capsys.readouterr().err
+    assert np.linalg.norm(_at(client)[:3, 3] - T[:3, 3] - [0.1, 0.1, 0.05]) < 0.005
+
+
 def test_angles_of_the_arm_are_reached_and_the_fingers_close(client):
     goal = client.state.q[3:] + 0.05
     client.gripper(0.5)
@@ -125,9 +134,18 @@ def test_a_stop_comes_through_in_50_milliseconds_and_holds_until_the_reset(clien
     other.stop("That is enough.")
     until(lambda: client.state.stop == "That is enough.")
     assert client.state.latched
+    assert client.state.cause == "emergency stop"
+    assert client.state.stopped_by == "a client that does not hold the robot"
+    assert began <= client.state.stopped_at <= client.state.stamp
     assert client.state.stamp - began < 0.2  # it was seen here, by a slow client; the bar is the benchmark's
     with pytest.raises(LiveError, match=r"stopped: That is enough\. Clear it with reset\(\) first"):
         client.move_to(client.state.q)
+    client.reset()
+    until(lambda: client.state.stop == "")
+    assert (client.state.cause, client.state.stopped_by) == ("", "")
+    client.stop()
+    until(lambda: client.state.latched)
+    assert client.state.stopped_by == "the first"
     client.reset()
     until(lambda: client.state.stop == "")
 

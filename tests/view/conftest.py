@@ -58,7 +58,7 @@ class Pretender:
     def __init__(self, robot):
         self.robot, self.scan, self.age, self.orders = robot, None, 0.0, []
         self._q, self._start, self._plan, self.stopped = robot.home.copy(), time.monotonic(), None, 0.0
-        self._begun = 0.0
+        self._begun, self.holds, self.covariance = 0.0, False, 1e-4 * np.eye(3)
 
     @property
     def state(self):
@@ -67,9 +67,11 @@ class Pretender:
             self._q = sample(self._plan, np.array([self._plan.stamps[0] + at]))[0][0]
         zero = np.zeros(self.robot.dof)
         return SimpleNamespace(
-            stamp=time.monotonic() - self._start, q=self._q, velocity=zero, covariance=1e-4 * np.eye(3),
+            stamp=time.monotonic() - self._start, q=self._q, velocity=zero, covariance=self.covariance,
             wheels=self._q[:3], truth=self._q[:3], tool_truth=None, goal="hold", progress=0.0, loop_time=1e-3,
             stop="The client says stop." if self.stopped else "", latched=bool(self.stopped), holder="",
+            joints={}, cause="emergency stop" if self.stopped else "", stopped_by="page" if self.stopped else "",
+            stopped_at=self.stopped - self._start if self.stopped else 0.0,
         )  # fmt: skip
 
     def on_state(self, callback):
@@ -108,6 +110,9 @@ class Pretender:
 
     def reset(self):
         self.stopped = 0.0
+
+    def release(self):
+        self.holds = False
 
 
 @pytest.fixture

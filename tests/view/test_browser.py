@@ -8,6 +8,7 @@ import pytest
 from page_parts import CANVAS, STOP, box, until
 from PIL import Image
 
+from longreach.errors import LiveError
 from longreach.view.export import page_html
 from longreach.view.player import Player
 from longreach.view.teleop import Teleop
@@ -39,11 +40,34 @@ def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_
     assert page.errors == []
 
 
+@pytest.mark.parametrize("eye", [(0.0, -0.01, 2.5), (-0.3, -2.0, 0.8)], ids=["from above", "from the side"])
+def test_the_ellipse_is_seen_though_it_is_smaller_than_the_base(page, server, pretender, tmp_path, eye):
+    page.set_viewport_size({"width": 1000, "height": 700})
+    teleop = Teleop(server, pretender, tmp_path)
+    opened(page, server)
+    until(lambda: server.get_clients(), page)
+    page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
+    page.wait_for_timeout(2000)
+    (viewer,) = server.get_clients().values()
+    viewer.camera.position, viewer.camera.look_at = np.array(eye), np.array([0.0, 0.0, 0.3])
+    pictures = []
+    for covariance in (1e-12, 1e-4):  # ten times 25 mm is the larger one's radius: the base is 0.4 m to the side
+        pretender.covariance = covariance * np.eye(3)
+        teleop.show()
+        page.wait_for_timeout(1500)
+        pictures.append(picture(page, tmp_path / "a.png"))
+    before, after = pictures
+    changed = np.abs(after - before).max(axis=2) > 20
+    assert np.mean(changed) > 0.0015
+    blue = after[changed].mean(axis=0)
+    assert blue[2] > blue[0] + 40
+
+
 def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
     Teleop(server, pretender, tmp_path)
     opened(page, server)
-    page.get_by_text("STOP").first.wait_for()
-    page.get_by_text("STOP").first.dispatch_event("click")
+    page.wait_for_function(f"!!{STOP}")
+    page.evaluate(f"{STOP}.click()")
     until(lambda: pretender.stopped, page)
     assert page.errors == []
 
@@ -78,6 +102,60 @@ def test_stop_is_on_the_screen_whatever_the_panel_does(page, server, pretender, 
     page.wait_for_timeout(500)
     assert pretender.stopped
     assert page.errors == []
+
+
+BANNER = "[...document.querySelectorAll('.mantine-Notification-root')].find(b => b.innerText.startsWith('Stopped'))"
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1000, 700)], ids=["phone", "desktop"])
+def test_a_stopped_robot_looks_stopped_and_nothing_in_the_panel_moves(
+    page, server, pretender, running, tmp_path, width, height
+):
+    page.set_viewport_size({"width": width, "height": height})
+    running(Teleop(server, pretender, tmp_path).loop)
+    opened(page, server)
+    record = f"[{BUTTONS}].find(b => b.innerText == 'Record')"
+    clear = f"[{BUTTONS}].find(b => b.innerText == 'Clear the stop')"
+    page.wait_for_function(f"{STOP} && {record} && {clear}?.disabled && !({BANNER})")
+    before = box(page, record)
+    pretender.stop()
+    page.wait_for_function(f"{BANNER} && !{clear}.disabled")
+    page.wait_for_timeout(1000)  # it comes in from the side
+    said = page.evaluate(f"({BANNER}).innerText")
+    assert "s ago by page" in said
+    assert "Cause: emergency stop. The client says stop." in said
+    assert "'Clear the stop' lets it take commands again; nothing moves by itself." in said
+    np.testing.assert_allclose(box(page, record), before, atol=1.0)
+    left, top, right, bottom = box(page, BANNER)
+    stop = box(page, STOP)
+    assert 0 <= left < right <= width
+    assert right <= stop[0] or bottom <= stop[1]  # it does not cover the stop button
+    assert (right - left) * (bottom - top) > 20_000  # [pixels²]
+    if width > height:
+        page.locator("[aria-label^=Minimize]").first.dispatch_event("click")
+        page.wait_for_function(f"!{record}")
+    assert page.evaluate(f"({BANNER}).checkVisibility()")
+    pretender.reset()
+    page.wait_for_function(f"!({BANNER})")
+    pretender.stop()
+    page.wait_for_function(BANNER)
+    assert page.errors == []
+
+
+def test_what_is_refused_again_and_again_is_one_notice_with_a_count(page, server, pretender, running, tmp_path):
+    def refuse(arm=None, base=None):
+        raise LiveError("Somebody else holds the robot.")
+
+    pretender.velocity = refuse
+    teleop = Teleop(server, pretender, tmp_path)
+    running(teleop.loop)
+    opened(page, server)
+    notices = "[...document.querySelectorAll('.mantine-Notification-root')].map(b => b.innerText)"
+    until(lambda: server.get_clients(), page)
+    until(lambda: teleop.drive("I") or "times)" in str(page.evaluate(notices)), page)
+    told = [text for text in page.evaluate(notices) if "Somebody else holds the robot." in text]
+    assert len(told) == 1
+    page.wait_for_function(f"!{notices}.join().includes('Somebody')")  # it goes when it is over
 
 
 def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, server, pretender, tmp_path):

@@ -93,6 +93,20 @@ def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(pa
     assert page.errors == []
 
 
+def test_the_robot_is_released_by_a_button_and_when_the_last_browser_goes(page, server, client, teleop):
+    page.goto(f"http://127.0.0.1:{server.get_port()}")
+    until(lambda: server.get_clients(), page)
+    client.take()
+    until(lambda: client.state.holder == "page", page)
+    press(page, "Release the robot")
+    until(lambda: client.state.holder == "", page)
+    client.velocity(base=np.array([0.0, 0.0, 0.1]))
+    page.goto("about:blank")
+    until(lambda: client.state.holder == "", page)
+    assert not client.holds
+    assert client.state.goal == "hold"
+
+
 def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, client, teleop, tmp_path):
     hand_on(page, server)
     before = client.state.q[:3].copy()

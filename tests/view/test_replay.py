@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from longreach.errors import RecordingError
+from longreach.measurement import JointState, Recording
+from longreach.trajectory import PoseTrajectory
 from longreach.view.bodies import cylinder, quaternion
-from longreach.view.replay import read_run
+from longreach.view.replay import assemble, read_run
 
 
 def test_the_robot_stands_where_estimate_and_joints_say(drive):
@@ -13,6 +15,18 @@ def test_the_robot_stands_where_estimate_and_joints_say(drive):
     np.testing.assert_allclose(middle.q[:3], [0.5, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(middle.q[3], 0.1, atol=1e-9)
     np.testing.assert_allclose(middle.wheels, [0.5, 0.05, 0.0], atol=1e-9)
+
+
+def test_the_fingers_stand_where_they_were_recorded(thing):
+    t = np.array([0.0, 1.0])
+    names = (*thing.joint_names[thing.arm], "finger_a_joint_1")
+    rows = tuple(
+        JointState(s, names, np.append(thing.home[thing.arm], 0.8 * s), np.zeros(0), np.zeros(0)) for s in t.tolist()
+    )
+    fused = PoseTrajectory(t, np.zeros((2, 3)))
+    run = assemble("hand", thing, Recording(name="hand", joints=rows), {"fused": fused})
+    assert run.frames[run.index(0.5)].joints == pytest.approx({"finger_a_joint_1": 0.4}, abs=0.02)
+    assert assemble("none", thing, Recording(name="none"), {"fused": fused}).frames[0].joints == {}
 
 
 def test_a_wall_is_one_row_of_map_points_that_are_known_when_they_were_seen(drive):

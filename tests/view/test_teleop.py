@@ -53,6 +53,59 @@ def test_a_key_drives_and_letting_go_of_it_holds(teleop, pretender, running):
     np.testing.assert_allclose(twists[0], [0.3, 0.0, 0.0])
 
 
+def test_a_stopped_robot_is_sent_nothing_and_one_notice_says_so(teleop, pretender, running):
+    pretender.stop()
+    running(teleop.loop)
+    teleop.drive("I")
+    until(lambda: any(notice.count > 3 for notice in teleop._notices._given.values()))
+    teleop._drag.value = "follow at once"
+    teleop._dragged(SimpleNamespace(phase="update"))
+    assert {order for order, _ in pretender.orders} <= {"hold"}
+    (notice,) = teleop._notices._given.values()
+    assert notice.title == "The robot is stopped"
+
+
+def test_a_plan_that_a_stopped_robot_does_not_take_stays_and_runs_when_the_stop_is_cleared(teleop, pretender):
+    plan = pretender.plan(None, "sqp")
+    teleop.show_plan(plan)
+    pretender.stop()
+    teleop.run()
+    assert teleop.plan is plan
+    assert not teleop.run_button.disabled
+    pretender.reset()
+    teleop.run()
+    assert teleop.plan is None
+    until(lambda: np.allclose(pretender.state.q, plan.q[-1]))
+
+
+def test_the_robot_is_released_a_second_after_the_last_browser_unless_one_comes_back(
+    teleop, pretender, running, monkeypatch
+):
+    browsers = {}
+    monkeypatch.setattr(teleop._server, "get_clients", lambda: browsers)
+    released = []
+    monkeypatch.setattr(pretender, "release", lambda: released.append(time.monotonic()))
+    running(teleop.loop)
+    time.sleep(1.5)
+    assert not released  # nobody has opened the page yet
+    browsers[1] = browsers[2] = SimpleNamespace()
+    time.sleep(0.3)
+    del browsers[1]
+    time.sleep(1.5)
+    assert not released
+    del browsers[2]
+    time.sleep(0.5)
+    browsers[3] = SimpleNamespace()
+    time.sleep(1.5)
+    assert not released
+    gone = time.monotonic()
+    del browsers[3]
+    until(lambda: released)
+    assert released[0] > gone + 0.5  # it was seen a picture before
+    time.sleep(1.5)
+    assert len(released) == 1
+
+
 def test_a_session_that_was_recorded_is_shown_again(teleop, pretender, tmp_path):
     teleop.record()
     teleop.drive("I")

@@ -5,6 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from longreach.geometry import se3
+from longreach.io.config import description_file
+from longreach.robot.chain import KinematicChain
+from longreach.view.bodies import rotation
+from longreach.view.frame import Frame
 from longreach.view.scene import Follower, Scene
 from longreach.view.teleop import Teleop
 from longreach.view.trails import GrowingMap, Trail
@@ -64,6 +69,24 @@ def test_a_camera_that_follows_moves_as_the_base_does_and_another_stays():
     for x in np.arange(5.0, 6.0001, 0.004):
         follower.show(np.array([x, 0.0, 0.0]), True)
     np.testing.assert_allclose(camera.position, [2.0, 2.0, 3.0], atol=0.011)
+
+
+def test_the_fingers_are_drawn_where_their_joints_have_them(server, thing, rng):
+    scene = Scene(server, thing, np.zeros(2), 2.0)
+    drawn = {*scene._links, *(joint.child for joint in scene._carried)}
+    assert {link.name for link in thing.urdf.links.values() if link.visuals} <= drawn
+    urdf = description_file("thing").parent / "thing.urdf"
+    finger = KinematicChain.from_urdf(urdf, "gripper", "finger_b_link_3")
+    for _ in range(2):
+        angles = rng.uniform(0.1, 1.0, finger.dof)
+        scene.show(Frame(thing.home, joints=dict(zip(finger.joint_names, angles.tolist(), strict=True))))
+        nodes = [node for joint, node in scene._carried.items() if joint.name in finger.joint_names]
+        T = np.eye(4)
+        for node in nodes:
+            T = T @ se3.from_rotation_translation(rotation(*node.wxyz), np.array(node.position))
+        np.testing.assert_allclose(T, finger.forward(angles), atol=1e-6)
+        assert nodes[0].name.startswith("/robot/gripper/finger_b_link_0")
+        assert nodes[-1].name.endswith("/finger_b_link_0/finger_b_link_1/finger_b_link_2/finger_b_link_3")
 
 
 @pytest.mark.parametrize("known", [True, False])

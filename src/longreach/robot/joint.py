@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.errors import ModelError
+from longreach.geometry import so3
 
 Kind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
 _IDENTITY = np.eye(4)
@@ -53,3 +54,12 @@ class Joint:
     def moves(self) -> bool:
         """Whether a number of q belongs to it."""
         return self.kind != "fixed"
+
+    def at(self, position: float) -> Float[np.ndarray, "4 4"]:
+        """Return T_parent_child at a position [rad or m]."""
+        T, axis = np.array(self.origin), np.array(self.axis)
+        if self.kind in ("revolute", "continuous"):
+            T[:3, :3] = T[:3, :3] @ so3.exp(axis * position)
+        elif self.kind == "prismatic":
+            T[:3, 3] += T[:3, :3] @ axis * position
+        return T

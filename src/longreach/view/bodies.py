@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from longreach.geometry import so3
+from longreach.robot.joint import Joint
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.robot.urdf import Shape
 
 _PLAIN = (0.6, 0.62, 0.66, 1.0)
+_PLAIN_TOP = 0.275  # of a base that nobody describes [m]
 _SIDES = 48
 _BLACK = 30  # of 255, so that a black robot has edges
 
@@ -44,36 +46,38 @@ def _root(robot: MobileManipulator) -> str:
     return robot.urdf.root if robot.urdf is not None else "base_link"
 
 
-def add_robot(
-    scene: Any, name: str, robot: MobileManipulator, colour: tuple[int, int, int] | None = None, opacity: float = 1.0
-) -> dict[str, Any]:
-    """Add the robot's links, all in one colour or each in its own, and return their nodes by name."""
-    nodes: dict[str, Any] = {}
-    whole = scene.add_frame(name, show_axes=False)
-    nodes[""] = whole
+def add_robot(scene: Any, name: str, robot: MobileManipulator) -> tuple[dict[str, Any], dict[Joint, Any]]:
+    """Add the robot's links and return their nodes: by name, and those of fingers and wheels by the joint before each.
+
+    Fingers and wheels are no frames of the chain to the tool; each node lies in that of the link that carries it.
+    """
+    nodes: dict[str, Any] = {"": scene.add_frame(name, show_axes=False)}
+    carried: dict[Joint, Any] = {}
     if robot.urdf is None:
         nodes[_root(robot)] = scene.add_frame(f"{name}/base", show_axes=False)
-        return nodes | _plain_base(scene, f"{name}/base", robot, colour or (60, 62, 66), opacity)
+        _plain_base(scene, f"{name}/base", robot)
+        return nodes, carried
+    paths = {link: f"{name}/{link}" for link in robot.urdf.links if link in robot.frames}
+    nodes |= {link: scene.add_frame(path, show_axes=False) for link, path in paths.items()}
+    for joint in robot.urdf.joints:  # each after the one that carries it
+        if joint.child not in paths:
+            paths[joint.child] = f"{paths[joint.parent]}/{joint.child}"
+            carried[joint] = scene.add_frame(paths[joint.child], show_axes=False)
     for link in robot.urdf.links.values():
-        if link.name in robot.frames and (link.visuals or link.collisions):
-            nodes[link.name] = scene.add_frame(f"{name}/{link.name}", show_axes=False)
-            for i, shape in enumerate(link.visuals or link.collisions):
-                _add_shape(scene, f"{name}/{link.name}/{i}", shape, colour, opacity)
-    return nodes
+        for i, shape in enumerate(link.visuals or link.collisions):
+            _add_shape(scene, f"{paths[link.name]}/{i}", shape)
+    return nodes, carried
 
 
-def _plain_base(scene: Any, name: str, robot: MobileManipulator, colour: tuple[int, int, int], opacity: float) -> dict:
+def _plain_base(scene: Any, name: str, robot: MobileManipulator) -> None:
     """Add a box with a nose where nobody says what the base looks like."""
     base = robot.description.base
     long = 2 * getattr(base, "half_length", 0.22) + 0.1
     wide = 2 * getattr(base, "half_width", 0.18) + 0.05
-    scene.add_box(
-        f"{name}/box", color=colour, dimensions=(long, wide, 0.25), position=(0, 0, 0.15), opacity=_opaque(opacity)
-    )
+    scene.add_box(f"{name}/box", color=(60, 62, 66), dimensions=(long, wide, 0.25), position=(0, 0, 0.15))
     scene.add_box(
         f"{name}/nose", color=(240, 190, 30), dimensions=(0.04, 0.5 * wide, 0.06), position=(0.5 * long, 0, 0.15)
     )
-    return {}
 
 
 def placed(nodes: dict[str, Any], robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> Iterator[tuple[Any, Any]]:
@@ -110,23 +114,22 @@ def _base_shapes(robot: MobileManipulator) -> list[Shape]:
     return [shape for shape in link.visuals or link.collisions if shape.kind != "mesh"]
 
 
-def _opaque(opacity: float) -> float | None:
-    return None if opacity >= 1.0 else opacity
+def top(robot: MobileManipulator) -> float:
+    """Return how high the base is [m]."""
+    heights = [s.T_link_shape[2, 3] + 0.5 * s.size[-1] for s in _base_shapes(robot) if s.kind in ("box", "cylinder")]
+    return max(heights, default=_PLAIN_TOP)
 
 
-def _add_shape(scene: Any, name: str, shape: Shape, colour: tuple[int, int, int] | None, opacity: float) -> None:
+def _add_shape(scene: Any, name: str, shape: Shape) -> None:
     if shape.kind == "mesh":
         return  # a primitive shape beside it is what collides
-    if colour is None:
-        colour = tuple(round(_BLACK + (255 - _BLACK) * c) for c in (shape.colour or _PLAIN)[:3])  # type: ignore[assignment]
-    solid = opacity >= 1.0
-    look = {"color": colour, "opacity": _opaque(opacity), "cast_shadow": solid, "receive_shadow": solid}
+    colour = tuple(round(_BLACK + (255 - _BLACK) * c) for c in (shape.colour or _PLAIN)[:3])
     if shape.kind == "box":
-        node = scene.add_box(name, dimensions=shape.size, **look)
+        node = scene.add_box(name, color=colour, dimensions=shape.size)
     elif shape.kind == "sphere":
-        node = scene.add_icosphere(name, radius=shape.size[0], **look)
+        node = scene.add_icosphere(name, color=colour, radius=shape.size[0])
     else:
-        node = scene.add_mesh_simple(name, *cylinder(*shape.size), flat_shading=True, **look)
+        node = scene.add_mesh_simple(name, *cylinder(*shape.size), color=colour, flat_shading=True)
     place(node, shape.T_link_shape)
 
 

@@ -1,7 +1,7 @@
 """What a page shows: one frame of a robot, and a recorded run as many of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,7 @@ class Frame:
     q (n,): base first, as estimated [m, m, rad, rad …]. covariance (3, 3) of the base's error ξ, in its own frame.
     wheels, truth (3,): where the wheels alone say the base is, and where it really is. tool_truth (4, 4).
     scan (k, 2): the returns of the newest sweep [m], in the base's frame when it was taken; scan_pose (3,): where that
-    was, None where q says it.
+    was, None where q says it. joints: fingers and wheels by the names of their joints [rad], as far as they are known.
     """
 
     q: Float[np.ndarray, " n"]
@@ -26,6 +26,7 @@ class Frame:
     tool_truth: Float[np.ndarray, "4 4"] | None = None
     scan: Float[np.ndarray, "k 2"] | None = None
     scan_pose: Float[np.ndarray, "3"] | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,11 @@
-"""What lies over viser's page whatever its panel does: a stop button, and a layout for narrow screens.
+"""What lies over viser's page whatever its panel does: a stop button, notices, and a layout for narrow screens.
 
 viser's panel takes its buttons with it when somebody minimises it, and its keys are dead while a field has the focus.
-The stop is therefore of the page itself: an HTML element of the panel brings it along, once.
+The stop is therefore of the page itself: an HTML element of the panel brings it along, once. Notices are viser's.
 """
 
+import time
+from dataclasses import dataclass
 from typing import Any
 
 from longreach.evaluation import style
@@ -34,6 +36,25 @@ _STOP = f"""
   #longreach-stop small {{ display: none; }}
 }}
 """
+_BANNER_COLOUR = (178, 34, 34)  # of nothing else in the page
+_BANNER = f".mantine-Notification-root[style*='#{bytes(_BANNER_COLOUR).hex()}']"  # a notification of that colour
+_NOTICES = f"""
+.mantine-Notifications-root {{ --notifications-container-width: min(34em, 100vw - 23em) !important; }}
+.mantine-Notifications-root > div {{ display: flex; flex-direction: column; }}
+.mantine-Notification-root {{ max-width: 20em; }}
+{_BANNER} {{ order: -1; max-width: none; max-height: none !important; pointer-events: none !important;
+  padding: 1em 1.3em; background: rgb{_BANNER_COLOUR}; }}
+{_BANNER}::before {{ display: none; }}
+{_BANNER} .mantine-Notification-title {{ color: #fff; font: 700 1.4rem/1.25 system-ui, sans-serif; }}
+{_BANNER} .mantine-Notification-description {{ color: #fff; font-size: 1rem; }}
+@media (max-width: {_NARROW}) {{
+  .mantine-Notifications-root {{ --notifications-container-width: calc(100vw - 6.5rem - 3em) !important; }}
+  {_BANNER} {{ padding: .5em .8em; }}
+  {_BANNER} .mantine-Notification-title {{ font-size: 1.05rem; }}
+  {_BANNER} .mantine-Notification-description {{ font-size: .85rem; }}
+}}
+"""
+_LASTS = 8.0  # a notice, after it was given last [s]
 # A touch counts when it begins. The space bar is the hotkey of the command "Stop"; in fields viser would not hear it.
 _SCRIPT = """
 const b = document.createElement('button');
@@ -60,6 +81,55 @@ def add_layout(server: Any) -> None:
 def add_stop(server: Any) -> None:
     """Add the stop button; it triggers the command that has the space bar as its hotkey."""
     server.gui.add_html(_lasting("longreach-stop-style", _STOP, _SCRIPT))
+
+
+@dataclass
+class _Notice:
+    """A title and a sentence, how often they were given, and until when they are shown by time.monotonic() [s]."""
+
+    title: str
+    body: str
+    count: int
+    until: float
+
+
+class Notices:
+    """Notices over the scene of each browser, the same one once, and a banner that stays as long as it is given."""
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._given: dict[str, _Notice] = {}
+        self._shown: dict[tuple[str, int], Any] = {}  # by notice and browser
+        server.gui.add_html(_lasting("longreach-notices", _NOTICES))
+
+    def tell(self, title: str, body: str) -> None:
+        """Give a notice, from any thread; one that is still shown is counted."""
+        before = self._given.get(title + body)
+        self._given[title + body] = _Notice(title, body, before.count + 1 if before else 1, time.monotonic() + _LASTS)
+
+    def show(self, banner: tuple[str, str] | None = None) -> None:
+        """Bring every browser up to date; banner: title and sentence, or None where there is none."""
+        now, browsers = time.monotonic(), self._server.get_clients()
+        wanted = {} if banner is None else {"": banner}
+        for key, notice in list(self._given.items()):
+            if now > notice.until:
+                self._given.pop(key, None)
+                continue
+            times = f" ({notice.count} times)" if notice.count > 1 else ""
+            wanted[key] = (notice.title, notice.body + times)
+        for key, browser in [where for where in self._shown if where[0] not in wanted or where[1] not in browsers]:
+            handle = self._shown.pop((key, browser))
+            if browser in browsers:
+                handle.remove()
+        for key, (title, body) in wanted.items():
+            for number, browser in browsers.items():
+                handle = self._shown.get((key, number))
+                if handle is None:
+                    self._shown[key, number] = browser.add_notification(
+                        title, body, with_close_button=bool(key), color=None if key else _BANNER_COLOUR
+                    )
+                elif (handle.title, handle.body) != (title, body):
+                    handle.title, handle.body = title, body
 
 
 def add_pad(server: Any) -> None:

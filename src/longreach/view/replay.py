@@ -177,7 +177,7 @@ def assemble(
     tools = None
     if tool_truth is not None:
         tools = tool_truth[1][np.clip(np.searchsorted(tool_truth[0], clock), 0, len(tool_truth[0]) - 1)]
-    sweeps = _Sweeps(recording, robot.description, fused)
+    sweeps, others = _Sweeps(recording, robot.description, fused), _other_joints(robot, recording, clock)
     frames = tuple(
         Frame(
             q[i],
@@ -186,6 +186,7 @@ def assemble(
             poses["truth"][i] if "truth" in poses else None,
             None if tools is None else tools[i],
             *sweeps.at(float(clock[i])),
+            {name: float(angle[i]) for name, angle in others.items()},
         )
         for i in range(count)
     )
@@ -217,6 +218,20 @@ def _take_joints(
         speed = np.array([row.velocity[column] for row in rows]) if known else np.gradient(angle, stamps)
         velocities[:, k] = np.interp(clock, stamps, speed)
     return velocities
+
+
+def _other_joints(robot: MobileManipulator, recording: Recording, clock: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the recorded angles (n,) of joints that are not of the chain to the tool, fingers for one, by name."""
+    if not recording.joints:
+        return {}
+    names = recording.joints[0].names
+    rows = [row for row in recording.joints if row.names == names and len(row.position)]
+    stamps = np.array([row.stamp for row in rows])
+    return {
+        name: np.interp(clock, stamps, [row.position[i] for row in rows])
+        for i, name in enumerate(names)
+        if name not in robot.joint_names and rows
+    }
 
 
 class _Sweeps:

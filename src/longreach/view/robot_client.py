@@ -37,6 +37,11 @@ class RobotClient(Protocol):
         """How old the newest state is [s]."""
         ...
 
+    @property
+    def holds(self) -> bool:
+        """Whether this client holds the robot, so that its commands count."""
+        ...
+
     def on_state(self, callback: Callable[[Any], None]) -> Callable[[], None]:
         """Call back with each new state; returns what ends it."""
         ...
@@ -70,5 +75,9 @@ class RobotClient(Protocol):
         ...
 
     def reset(self) -> None:
-        """Move again after a stop."""
+        """Let it take commands again after a stop."""
+        ...
+
+    def release(self) -> None:
+        """Let go of the robot, so that others can take it."""
         ...

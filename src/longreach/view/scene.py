@@ -4,7 +4,7 @@ Colours are those of the figures (Okabe & Ito 2008): blue the estimate, orange t
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,9 @@ class Scene:
         server.initial_camera.position = (center[0] - 1.0 * back, center[1] - 1.55 * back, 1.35 * back)
         server.initial_camera.look_at = (center[0], center[1], 0.05)
         server.initial_camera.up = (0.0, 0.0, 1.0)
-        self._links = bodies.add_robot(scene, "/robot", robot)
+        self._links, self._carried = bodies.add_robot(scene, "/robot", robot)
+        self._turned: dict[str, float] = {}  # fingers and wheels, as they are shown
+        self._top = bodies.top(robot) + _ABOVE  # an ellipse on the floor would lie hidden under the base
         self._ghosts = {
             "wheels": bodies.add_base_outline(scene, "/wheels", robot, rgb(COLOURS["wheels"]), 0.02),
             "truth": bodies.add_base_outline(scene, "/truth", robot, rgb(COLOURS["truth"])),
@@ -64,11 +66,11 @@ class Scene:
         disc = bodies.disc()
         blue = rgb(COLOURS["estimate"])
         self._ellipse = scene.add_mesh_simple(
-            "/ellipse", *disc, color=blue, opacity=0.35, side="double", cast_shadow=False, visible=False
+            "/ellipse", *disc, color=blue, opacity=0.6, side="double", cast_shadow=False, visible=False
         )
         ring = np.column_stack([disc[0][1:], np.roll(disc[0][1:], -1, axis=0)]).reshape(-1, 2, 3)
         self._ring = scene.add_line_segments(
-            "/ellipse_edge", ring, blue, thickness=2.0, thickness_units="screen", visible=False
+            "/ellipse_edge", ring, blue, thickness=3.0, thickness_units="screen", visible=False
         )
         self._tool_truth = scene.add_icosphere("/tool_truth", radius=0.018, color=(0, 0, 0), visible=False)
         self._scan = scene.add_point_cloud(
@@ -82,6 +84,7 @@ class Scene:
         """Put everything where it is at a frame."""
         pose = frame.q[:3] if self._robot.base.stop else np.zeros(3)
         self._show_links(pose, frame.q)
+        self._show_carried(frame.joints)
         for name, at in (("wheels", frame.wheels), ("truth", frame.truth)):
             self._show_base(self._ghosts[name], at)
         self._show_ellipse(pose, frame.covariance)
@@ -101,6 +104,14 @@ class Scene:
         for handle, T in bodies.placed(self._links, self._robot, inside):
             bodies.place(handle, T)
 
+    def _show_carried(self, joints: Mapping[str, float]) -> None:
+        """Move fingers and wheels where they have moved; what is not known stands at zero."""
+        for joint, node in self._carried.items():
+            position = joints.get(joint.name, 0.0)
+            if abs(position - self._turned.get(joint.name, np.inf)) >= _STILL:
+                self._turned[joint.name] = position
+                bodies.place(node, joint.at(position))
+
     def _show_base(self, ghost: Any, pose: np.ndarray | None) -> None:
         ghost.visible = pose is not None
         if pose is not None:
@@ -118,7 +129,7 @@ class Scene:
         size = tuple(np.maximum(half, 1e-3).tolist())
         for part in (self._ellipse, self._ring):
             part.scale = (*size, 1.0)
-            bodies.place_plane(part, np.array([pose[0], pose[1], turn]), 2 * _ABOVE)
+            bodies.place_plane(part, np.array([pose[0], pose[1], turn]), self._top)
 
     def _show_scan(self, pose: np.ndarray, scan: np.ndarray | None) -> None:
         self._scan.visible = scan is not None

@@ -29,6 +29,9 @@ _RECENT = 64  # states, half a second: a scan comes later than the state of its 
 _GIZMO = 70.0  # [pixels]: a finger finds it
 _COASTS = 0.4  # a key that is held repeats faster than this [s]
 _SILENT = 0.25  # [s]
+_LASTING = 0.5  # a stop or a silence that is worth a banner [s]
+_ALONE = 1.0  # after the last browser has gone the robot is released [s]
+_CLEAR = "Clear the stop"
 # Not W A S D Q E nor the arrows: with those viser moves the camera.
 _KEYS = {"I": (1, 0, 0), "K": (-1, 0, 0), "J": (0, 1, 0), "L": (0, -1, 0), "U": (0, 0, 1), "O": (0, 0, -1)}
 _BUTTONS = {"U": "⟲ U", "I": "↑ I", "O": "⟳ O", "J": "← J", "K": "↓ K", "L": "→ L"}  # as on a keyboard
@@ -52,7 +55,7 @@ class Teleop:
         self.preview = Preview(self.scene, server, robot)
         self.map = GrowingMap(self.scene)
         self._twist, self._until, self._started = np.zeros(3), 0.0, 0.0
-        self._dragging, self._busy = False, ""
+        self._dragging, self._busy, self._watched = False, "", 0.0  # when a browser was there last [s]
         self._session: Session | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
         self._follower = Follower(server)
@@ -67,15 +70,21 @@ class Teleop:
         gui, client = self._server.gui, self.client
         gui.add_command("Stop", hotkey="space").on_trigger(lambda _: client.stop())
         overlay.add_stop(self._server)
-        self._reset = gui.add_button("Move again", visible=False)
-        self._reset.on_click(lambda _: self._try(client.reset))
+        self._notices = overlay.Notices(self._server)
         self._status = gui.add_markdown("…")
+        self._reset = gui.add_button(_CLEAR, disabled=True, hint="Nothing moves by itself afterwards.")
+        self._reset.on_click(lambda _: self._try(client.reset))
+        self._release = gui.add_button(
+            "Release the robot", disabled=True, color="gray", hint="It stands, and others can take it."
+        )
+        self._release.on_click(lambda _: self._try(client.release))
         self._add_driving()
         self._add_plans()
         self.record_button = gui.add_button(
             "Record", color="gray", hint="All states and scans, into out/session-….mcap"
         )
         self.record_button.on_click(lambda _: self._try(self.record))
+        self._magnified = gui.add_dropdown("Ellipse", ("1 ×", "10 ×", "50 ×"), initial_value="10 ×")
         self._follow = gui.add_checkbox("Camera follows the base", False)
         with gui.add_folder("Legend"):
             add_legend(self._server, _SHOWN)
@@ -127,7 +136,7 @@ class Teleop:
         T[:3, :3] = bodies.rotation(w, x, y, z)
         T[:3, 3] = self.gizmo.position
         if self._drag.value == "follow at once":
-            self._try(lambda: self.client.reach(T))
+            self._command(lambda: self.client.reach(T))
         elif event.phase == "end":
             self._work(lambda: self.show_plan(self.client.plan(T, self._method.value)))
 
@@ -142,12 +151,11 @@ class Teleop:
         self.run_button.disabled = self.drop_button.disabled = False
 
     def run(self) -> None:
-        """Let the robot follow the plan that is shown; its way stays until it has ended."""
+        """Let the robot follow the plan that is shown; its way stays until it has ended, and if it is refused."""
         plan = self.plan
-        if plan is not None:
+        if plan is not None and self._command(lambda: self.client.execute(plan, wait=False)):
             self._forget()
             self._started = time.monotonic()
-            self._try(lambda: self.client.execute(plan, wait=False))
 
     def drop(self) -> None:
         """Forget the plan that is shown."""
@@ -171,16 +179,26 @@ class Teleop:
         session.write(path)
         self._tell(f"Recorded to {path}", "longreach view shows it again.")
 
-    def _try(self, action: Callable[[], Any]) -> None:
+    def _try(self, action: Callable[[], Any]) -> bool:
+        """Do something and return whether it worked; if not, say why."""
         try:
             action()
         except LongreachError as error:
             self._tell("That did not work", str(error))
+            return False
+        return True
+
+    def _command(self, action: Callable[[], Any]) -> bool:
+        """Do what moves the robot, unless it is stopped."""
+        if self.client.state.latched:
+            self._tell("The robot is stopped", f"Press '{_CLEAR}' before you command it.")
+            return False
+        return self._try(action)
 
     def _work(self, action: Callable[[], object], what: str = "planning …") -> None:
         """Do what takes a while beside the loop, one such thing at a time, and say what."""
         if self._busy:
-            return
+            return self._tell("Not now", f"The page is busy: {self._busy}")
         self._busy = what
 
         def work() -> None:
@@ -192,8 +210,7 @@ class Teleop:
         threading.Thread(target=work, daemon=True).start()
 
     def _tell(self, title: str, body: str) -> None:
-        for client in self._server.get_clients().values():
-            client.add_notification(title, body, auto_close_seconds=8.0)
+        self._notices.tell(title, body)
 
     def loop(self, until: threading.Event) -> None:
         """Send what is driven and show what is said until the event is set."""
@@ -202,10 +219,11 @@ class Teleop:
             driving = time.monotonic() < self._until
             if driving:
                 twist = self._twist
-                self._try(lambda twist=twist: self.client.velocity(base=twist))
+                self._command(lambda twist=twist: self.client.velocity(base=twist))
             elif drove:
                 self._try(self.client.hold)
             drove, count = driving, count + 1
+            self._release_when_alone()
             self.show(count)
         self._unwatch()
         if self._session is not None:
@@ -217,9 +235,9 @@ class Teleop:
         tool = robot.forward(state.q)
         with self._server.atomic():
             self._take_scan(count)
-            self.scene.show(
-                Frame(state.q, state.covariance, state.wheels, state.truth, state.tool_truth, *self._scan[1:])
-            )
+            self.scene.magnified = float(self._magnified.value.split()[0])
+            truth = (state.truth, state.tool_truth)
+            self.scene.show(Frame(state.q, state.covariance, state.wheels, *truth, *self._scan[1:], state.joints))
             if robot.base.stop:
                 self._trails["base driven"].grow(np.array([*state.q[:2], 0.0]))
             self._trails["tool driven"].grow(tool[:3, 3])
@@ -230,6 +248,7 @@ class Teleop:
                 self.drop()
             if count % 5 == 0:
                 self._show_status(state)
+                self._notices.show(self._banner(state))
             self._plots.take(state, show=count % 10 == 0)
 
     def _take_scan(self, count: int) -> None:
@@ -248,13 +267,39 @@ class Teleop:
 
     def _show_status(self, state: Any) -> None:
         age, held = self.client.age, state.holder or "nobody"
-        word = (
-            f"⚠ silent for {age:.1f} s" if age > _SILENT else f"**stopped**: {state.stop}" if state.stop else state.goal
-        )
+        word = f"⚠ silent for {age:.1f} s" if age > _SILENT else "**stopped**" if state.stop else state.goal
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
         planning = f" · **{self._busy}**" if self._busy else ""
-        text = f"{word}{done}{planning} · held by {held} · loop {1e3 * state.loop_time:.1f} ms"
+        text = f"{word}{done}{planning} · held by {held}"
         if self._status.content != text:
             self._status.content = text
-        if self._reset.visible != state.latched:
-            self._reset.visible = state.latched
+        for button, disabled in ((self._reset, not state.latched), (self._release, not self.client.holds)):
+            if button.disabled != disabled:
+                button.disabled = disabled
+
+    def _banner(self, state: Any) -> tuple[str, str] | None:
+        """Return what everybody at the page must know: that the robot is stopped, or is not heard."""
+        age, since = self.client.age, state.stamp - state.stopped_at
+        if age > _LASTING:
+            return f"Nothing heard from the robot for {age:.0f} s", "The page shows it as it was then."
+        if not state.stop or (since < _LASTING and not state.latched):
+            return None
+        by = f" by {state.stopped_by}" if state.stopped_by else ""
+        if state.latched:
+            then = f"'{_CLEAR}' lets it take commands again; nothing moves by itself."
+        else:
+            then = "It takes commands again when the cause has gone."
+        return f"Stopped {_ago(since)}{by}", f"Cause: {state.cause}. {state.stop} {then}"
+
+    def _release_when_alone(self) -> None:
+        """Release the robot a little after the last browser has gone: nobody sees it any more."""
+        now = time.monotonic()
+        if self._server.get_clients():
+            self._watched = now
+        elif self._watched and now > self._watched + _ALONE:
+            self._watched = 0.0
+            self._try(self.client.release)
+
+
+def _ago(seconds: float) -> str:
+    return f"{seconds:.0f} s ago" if seconds < 100 else f"{seconds / 60:.0f} min ago"

@@ -8,6 +8,9 @@ from longreach.control.interpolation import sample
 from longreach.errors import PlanningError
 from longreach.geometry import se3
 from longreach.planning.planner import plan
+from longreach.planning.problem import Problem
+from longreach.planning.terms import Cost, Manipulability, NearSeed
+from longreach.planning.terms_pose import ToolPose
 from longreach.planning.timing import eased
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -15,6 +18,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 _PART = 0.8  # of what a joint can do is planned with: the rest is for correcting; ours
 _SPEED, _TURN = 0.15, 0.5  # of the tool on its way to a pose [m/s], [rad/s]; ours
 _WAYPOINTS = 60
+_BASE, _NIMBLE = 30.0, 0.1  # by sqp: what a metre of the base costs beside a radian of a joint, and √(κ/M); ours
 _ROOM = 1000.0  # a base has no end stops, its description only says where it is planned by itself [m]
 
 
@@ -54,6 +58,9 @@ def to_pose(
 ) -> ConfigurationTrajectory:
     """Return the plan that brings the tool straight to T_map_tool (4, 4).
 
+    By sqp it ends where the arm is nimble and near q (n,), the base nearer than the arm; on the way there each joint is
+    as near to a straight line as the tool's path allows.
+
     Raises:
         PlanningError: it cannot get there.
     """
@@ -63,11 +70,33 @@ def to_pose(
     part = np.linspace(0.0, 1.0, _WAYPOINTS)
     tool = np.array([se3.retract(start, p * way) for p in part])
     tool[:, :3, 3] = start[:3, 3] + part[:, None] * (T[:3, 3] - start[:3, 3])
-    trajectory = along(robot, q, Reference(part * time, tool=tool), method)
+    reference = Reference(part * time, tool=tool)
+    if method == "sqp":
+        trajectory = _slowed(robot, eased(_to_nimble_end(roomy(robot), q, reference)))
+    else:
+        trajectory = along(robot, q, reference, method)
     missed = float(np.linalg.norm(robot.forward(trajectory.q[-1])[:3, 3] - T[:3, 3]))
     if missed > 0.01:
         raise PlanningError(f"The tool would end {missed:.3f} m from there; choose a pose that the robot can reach.")
     return trajectory
+
+
+def _to_nimble_end(
+    robot: MobileManipulator, q: Float[np.ndarray, " n"], reference: Reference
+) -> ConfigurationTrajectory:
+    """Return the plan by sqp along the tool's path, from q (n,) exactly: problem (4.34) would begin elsewhere."""
+    assert reference.tool is not None
+    weights = np.ones(robot.dof)
+    weights[robot.base] = _BASE
+    costs: tuple[Cost, ...] = (NearSeed(q[None], weights),)
+    if robot.dof - robot.arm.start >= 6:  # the arm alone moves the tool in all directions
+        costs += (Manipulability(part="arm", weight=_NIMBLE),)
+    last = Reference(np.zeros(1), tool=reference.tool[-1:])
+    end = plan(robot, last, q, method="sqp", problem=Problem(costs, (ToolPose(),))).q[-1]
+    part = (reference.stamps / reference.stamps[-1])[:, None]
+    line = ConfigurationTrajectory(reference.stamps, q + part * (end - q), robot.joint_names)
+    near = Problem((NearSeed(line.q, np.ones(robot.dof)),), (ToolPose(),))
+    return plan(robot, reference, q, method="sqp", problem=near, initial=line)
 
 
 def roomy(robot: MobileManipulator) -> MobileManipulator:

@@ -18,12 +18,13 @@ class LiveState:
     truth (3,), tool_truth (4, 4): where base and tool really are, where that is known, else None.
     joints: all that move, fingers included, by their names [rad].
     reference (n,): where the plan is now; q where no plan runs.
-    progress: how much of the plan is done, 0 to 1; plan: its number. goal: what it does: hold, direct, reach, follow.
+    progress: how much of the plan is done, 0 to 1; plan: its number. goal: what it does: hold, velocity, servo, follow.
     loop_time [s]: what the last tick computed. stop: why the safety gate stops the robot, empty where it does not;
-    latched: whether it stays so until `reset`. holder: the name of the client that commands it, empty where none does.
-    refused: how many messages the robot has refused so far, whoever sent them.
-    why: why the last goal has ended early. limited: what the laser sees that slows the base down. minds_obstacles:
-    whether it is slowed down at all.
+    latched: whether it stays so until `reset`. cause: the kind of stop, as in docs/driving.md; stopped_at [s]: since
+    when; stopped_by: which client has stopped it, empty where none did.
+    holder: the name of the client that commands it, empty where none does. refused: how many messages the robot has
+    refused so far, whoever sent them. why: why the last goal has ended early. limited: what the laser sees that slows
+    the base down. minds_obstacles: whether it is slowed down at all.
     """
 
     stamp: float
@@ -41,6 +42,9 @@ class LiveState:
     loop_time: float = 0.0
     stop: str = ""
     latched: bool = False
+    cause: str = ""
+    stopped_by: str = ""
+    stopped_at: float = 0.0
     holder: str = ""
     refused: int = 0
     why: str = ""

@@ -253,7 +253,8 @@ def made_state(
         reference=q if reference is None else np.array(reference.position),
         progress=float(status.get("progress") or 0.0), plan=int(status.get("plan") or 0),
         goal=status.get("goal", "hold"), loop_time=float(status.get("loop_time") or 0.0),
-        stop=status.get("stop", ""), latched=status.get("latched") == "1",
+        stop=status.get("stop", ""), latched=status.get("latched") == "1", cause=status.get("cause", ""),
+        stopped_by=status.get("by", ""), stopped_at=float(status.get("since") or 0.0),
         holder=status.get("holder", ""), refused=int(status.get("refused") or 0), why=status.get("why", ""),
         limited=status.get("limit", ""), minds_obstacles=bool(status.get("obstacles")),
     )  # fmt: skip

@@ -33,17 +33,6 @@ def tree(robot: MobileManipulator) -> tuple[Joint, ...]:
     return tuple(joints)
 
 
-def transform(joint: Joint, position: float) -> Float[np.ndarray, "4 4"]:
-    """Return T_parent_child of a joint at a position [rad or m]."""
-    T = np.array(joint.origin)
-    axis = np.array(joint.axis)
-    if joint.kind in ("revolute", "continuous"):
-        T[:3, :3] = T[:3, :3] @ so3.exp(axis * position)
-    elif joint.kind == "prismatic":
-        T[:3, 3] += T[:3, :3] @ axis * position
-    return T
-
-
 def odom_in_map(pose: Float[np.ndarray, "3"], wheels: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """Return where odom is in map, so that the base, seen through it, is where the estimate says: REP-105."""
     return se2.compose(pose, se2.inverse(wheels))
@@ -115,7 +104,7 @@ class Frames:
         T = np.eye(4)
         while frame in self._parents:
             joint = self._parents[frame]
-            T = transform(joint, instant.joints.get(joint.name, 0.0)) @ T
+            T = joint.at(instant.joints.get(joint.name, 0.0)) @ T
             frame = joint.parent
         if frame == MAP:
             return T

@@ -69,6 +69,7 @@ class Listener:
         self._clock, self._lock, self._asked = clock, Lock(), _Asked()
         self.holder, self._taken, self._missed = Holder(), math.inf, -math.inf
         self.plan: ConfigurationTrajectory | None = None
+        self.stopped, self.stopped_by = "", ""  # why a client has stopped the robot last, and which
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
         streams = {
             topics.TWIST: lambda message: self._direct(commands.twist(message, robot)),
@@ -165,7 +166,11 @@ class Listener:
         """Do what one word asks for; the rest of the line is a name or a reason."""
         word, _, rest = message.data[:200].partition(" ")
         if word == "stop":
-            self._set(goal=Hold(), stop=rest or "A client says stop.")
+            with self._lock:
+                self.stopped = rest or "A client says stop."
+                holds = sender == self.holder.sender
+                self.stopped_by = self.holder.name if holds else "a client that does not hold the robot"
+            self._set(goal=Hold(), stop=self.stopped)
             return ""
         if word == "take":
             return self._give(sender, rest or "somebody")

@@ -10,7 +10,7 @@ from longreach.app.robot_side import TickRecord
 from longreach.geometry import so3
 from longreach.io import messages
 from longreach.live.protocol import topics
-from longreach.live.protocol.frames import BASE, MAP, ODOM, odom_in_map, transform, tree
+from longreach.live.protocol.frames import BASE, MAP, ODOM, odom_in_map, tree
 from longreach.live.protocol.topics import TYPES, Sensed, Topic
 from longreach.measurement import Odometry, WheelSpeeds
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -88,6 +88,8 @@ def status(record: TickRecord, values: Mapping[str, str]) -> Any:
         "goal": goal_name(record),
         "loop_time": f"{record.loop_time:.6f}",
         "latched": str(int(stop is not None and stop.latched)),
+        "cause": "" if stop is None else stop.cause,
+        "since": "" if stop is None else f"{stop.since:.6f}",
         "progress": f"{goal.progress:.6f}" if isinstance(goal, Follow) else "",
         "why": record.state.why,
         "obstacles": "" if around is None else "minded",
@@ -115,14 +117,14 @@ def moving_frames(robot: MobileManipulator, record: TickRecord) -> Any:
             stamped.append(_stamped(stamp, parent, child, T))
     for joint in tree(robot):
         if joint.moves:
-            stamped.append(_stamped(stamp, joint.parent, joint.child, transform(joint, at.get(joint.name, 0.0))))
+            stamped.append(_stamped(stamp, joint.parent, joint.child, joint.at(at.get(joint.name, 0.0))))
     return TYPES["tf2_msgs/msg/TFMessage"](stamped)
 
 
 def static_frames(robot: MobileManipulator, stamp: float) -> Any:
     """Return a tf2_msgs/TFMessage of all that does not move."""
     fixed = [joint for joint in tree(robot) if not joint.moves]
-    return TYPES["tf2_msgs/msg/TFMessage"]([_stamped(stamp, j.parent, j.child, transform(j, 0.0)) for j in fixed])
+    return TYPES["tf2_msgs/msg/TFMessage"]([_stamped(stamp, j.parent, j.child, j.at(0.0)) for j in fixed])
 
 
 def _stamped(stamp: float, parent: str, child: str, T: np.ndarray) -> Any:

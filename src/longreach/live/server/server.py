@@ -162,6 +162,7 @@ class Server:
             "holder_id": holder.sender.hex(),
             "plan": str(self._plans),
             "progress": f"{self._progress:.6f}",
+            "by": self._listener.stopped_by if stop is not None and stop.reason == self._listener.stopped else "",
             "refused": str(self.rejections.total),
         }
         self._say(topics.STATUS, publisher.status(record, values), now)
