@@ -25,14 +25,16 @@ def free_port():
 class Served:
     """`longreach serve` with a simulated Thing, without scans."""
 
-    def __init__(self, folder, *options, protocol="tcp"):
+    def __init__(self, folder, *options, protocol="tcp", before=""):
         self.port, self.fresh = free_port(), True  # fresh: nobody has asked it for anything
         self.address = f"127.0.0.1:{self.port}"
         self.log = Path(folder) / f"server-{self.port}.log"
         command = ["serve", "--hardware", "kinematic", "--no-scans", "--address", self.address, *options]
         with self.log.open("w") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", _SERVE, protocol, *map(str, command)], stdout=log, stderr=subprocess.STDOUT
+                [sys.executable, "-c", before + _SERVE, protocol, *map(str, command)],
+                stdout=log,
+                stderr=subprocess.STDOUT,
             )
 
     def ready(self):

@@ -15,7 +15,7 @@ def command(
     address: str = typer.Option("127.0.0.1:7447", help="Where to listen, host:port; other machines need certificates."),
     token: str | None = typer.Option(None, envvar="LONGREACH_TOKEN", help="A secret that clients must know."),
     certificates: Path | None = typer.Option(None, help="Folder with server.pem, server.key and ca.pem."),
-    record: Path | None = typer.Option(None, help="Write everything into a recording, .mcap or .bag."),
+    record: Path | None = typer.Option(None, help="Record everything into this .mcap."),
     world: str = typer.Option(
         "laboratory", help="Of a simulated robot: laboratory, office, corridor, … or a YAML file."
     ),
@@ -53,7 +53,7 @@ def command(
             record=record, scans=scans, rejections=rejections, ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)
-    if record is not None:
+    if record is not None and record.exists():
         typer.echo(f"The recording is {record}.")
 
 

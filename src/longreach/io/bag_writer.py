@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -21,6 +20,7 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import RecordingError
 from longreach.io import messages
 from longreach.io.bag_topics import ESTIMATE, PLAN, TOOL, USUAL
+from longreach.io.mcap_file import McapWriter
 from longreach.io.messages import Types, nanoseconds
 from longreach.measurement import Odometry, Recording, Wheels, WheelSpeeds, WheelTicks
 from longreach.reference import Reference
@@ -56,7 +56,7 @@ def _store(is_ros1: bool) -> Any:
 class BagWriter:
     """An open bag to write messages of the classes in `types` to."""
 
-    def __init__(self, writer: Ros1Writer | Ros2Writer) -> None:
+    def __init__(self, writer: Ros1Writer | Ros2Writer | McapWriter) -> None:
         self._writer = writer
         self._is_ros1 = isinstance(writer, Ros1Writer)
         self._store = _store(self._is_ros1)
@@ -107,15 +107,13 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
         path.parent.mkdir(parents=True, exist_ok=True)
         workplace = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         try:
+            written = workplace / path.name
             if path.suffix == ".bag":
-                writer, written = Ros1Writer(workplace / path.name), workplace / path.name
-            elif path.suffix == ".mcap":  # rosbags makes a folder with the file and a metadata.yaml, which we leave out
-                folder = workplace / path.stem
-                plugin = StoragePlugin.MCAP
-                writer = Ros2Writer(folder, version=_ROS2_VERSION, storage_plugin=plugin)
-                written = folder / f"{folder.name}.mcap"
+                writer = Ros1Writer(written)
+            elif path.suffix == ".mcap":
+                writer = McapWriter(written)
             else:
-                writer, written = Ros2Writer(workplace / path.name, version=_ROS2_VERSION), workplace / path.name
+                writer = Ros2Writer(written, version=_ROS2_VERSION)
             with writer:
                 yield BagWriter(writer)
             os.replace(written, path)

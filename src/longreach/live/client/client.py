@@ -18,6 +18,7 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Capabilities, Command, GripperCommand, Readings, capabilities_of
 from longreach.errors import LiveError
 from longreach.io import messages
+from longreach.io.bag_recorder import Recorder
 from longreach.live.client import motions
 from longreach.live.client.connection import Connection, read_description
 from longreach.live.client.state import LiveState
@@ -68,6 +69,7 @@ class Client:
 
     def __init__(self, connection: Connection, name: str) -> None:
         self._connection, self.name = connection, name
+        self._recorders: list[Recorder] = []
         self._robot = read_description(connection)
         self._subscriber = subscriber = Subscriber(connection.session, self._robot)
         connection.confirmed = lambda: subscriber.status.get("holder_id") == connection.sender.hex()
@@ -136,6 +138,21 @@ class Client:
         """Call back with each new scan, from the network's thread. Returns what ends it."""
         self._subscriber.on_scan.append(callback)
         return lambda: self._subscriber.on_scan.remove(callback)
+
+    def record(self, path: Path | str) -> Recorder:
+        """Record all that the robot says into an MCAP, until what this returns is closed: use it with `with`.
+
+        Raises:
+            RecordingError: nothing can be written there.
+        """
+        recorder, start = Recorder(Path(path)), self.state.stamp
+        self._recorders.append(recorder)
+        recorder.ended = self._subscriber.tap(recorder.write)
+        for topic in (topics.TF_STATIC, topics.PLAN):  # said once, perhaps long ago
+            message = self._connection.lasting(topic)
+            if message is not None:
+                recorder.write(topic.name, topic.type, topic.pack(message), start)
+        return recorder
 
     def __iter__(self) -> Iterator[LiveState]:
         """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
@@ -287,7 +304,9 @@ class Client:
             self._connection.release()
 
     def close(self) -> None:
-        """Release the robot and hang up."""
+        """End recordings, release the robot and hang up."""
+        for recorder in self._recorders:
+            recorder.close()
         if self._subscriber.frames in connected:
             connected.remove(self._subscriber.frames)
         with suppress(LiveError):

@@ -57,6 +57,7 @@ TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1 << 20)
 PLAN = Topic("/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
 URDF = Topic("/robot_description", "std_msgs/msg/String", 1 << 24)
 DESCRIPTION = Topic("/longreach/description", "std_msgs/msg/String", 1 << 20)
+STREAMS = (ESTIMATE, SETTLED, WHEELS_ALONE, TOOL_TRUTH, REFERENCE, STATUS, TF, TF_STATIC, PLAN)
 # What clients send in a stream.
 TWIST = Topic("/cmd_vel", "geometry_msgs/msg/TwistStamped")
 JOINTS = Topic("/arm/command", "sensor_msgs/msg/JointState", 16384)
