@@ -22,7 +22,8 @@ from longreach.robot.description import RobotDescription
 
 ROBOT = RobotDescription(name="r")
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-TYPE = "sensor_msgs/msg/Imu"
+TYPE, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
+SMALL = bytes(STORE.serialize_cdr(STORE.types[TEXT]("x"), TEXT))
 
 
 def payload(i):
@@ -44,9 +45,7 @@ def chunks_of(path, chunks, each=4, topic="/imu", type=TYPE, payload=payload):
 
 def test_a_file_that_was_cut_is_read_up_to_its_last_whole_chunk_at_every_byte(tmp_path):
     path = tmp_path / "run.mcap"
-    text = "std_msgs/msg/String"
-    small = bytes(STORE.serialize_cdr(STORE.types[text]("x"), text))
-    ends = chunks_of(path, 3, 2, "/text", text, lambda i: small)
+    ends = chunks_of(path, 3, 2, "/text", TEXT, lambda i: SMALL)
     whole = path.read_bytes()
     assert inspect(path).remarks == ()
     index = 9 + 2 + 4 + 2 * 16  # bytes behind each chunk that are not needed
@@ -107,6 +106,32 @@ def test_a_chunk_of_a_whole_file_whose_bytes_changed_is_noticed(tmp_path):
     path.write_bytes(bad)
     with pytest.raises(RecordingError, match="Chunk checksum mismatch"):
         read_bag(path, ROBOT)
+
+
+def test_a_file_of_another_profile_is_refused_as_one_of_ros_2_is_read(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3)
+    for size in (ends[-1], None):
+        path.write_bytes(path.read_bytes().replace(b"ros2", b"ros1", 1)[:size])
+        with pytest.raises(RecordingError, match="cannot be read as a ROS bag"):
+            inspect(path)
+
+
+def test_where_the_chunk_that_names_a_topic_is_damaged_the_others_are_read(tmp_path):
+    path = tmp_path / "run.mcap"
+    with McapWriter(path) as file:
+        bag = BagWriter(file)
+        for i in range(4):  # the third chunk has messages of both
+            bag.write_cdr(*(("/two", TEXT, SMALL) if i % 2 else ("/one", TYPE, payload(i))), 0.01 * i)
+            if i != 2:
+                file.flush()
+            if i == 0:
+                first = path.stat().st_size
+        cut = path.stat().st_size
+    bad = bytearray(path.read_bytes()[:cut])
+    bad[first - 200] ^= 1
+    path.write_bytes(bad)
+    assert [(topic.topic, topic.count) for topic in inspect(path).topics] == [("/two", 2)]
 
 
 def test_zeros_behind_the_last_chunk_as_a_power_cut_leaves_them_are_no_records(tmp_path):

@@ -225,8 +225,9 @@ class CutMcap:
 
     def _scan(self) -> None:
         """Find all parts that are whole."""
-        if self._file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-            raise ValueError("it does not begin as an MCAP")
+        start = self._file.read(len(MCAP_MAGIC) + _RECORD.size + 8)
+        if not (start.startswith(MCAP_MAGIC) and start.endswith(_sized(b"ros2"))):
+            raise ValueError("it does not begin as an MCAP of ROS 2")
         at, taken = len(MCAP_MAGIC), (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
         while at + _RECORD.size <= self._size:
             self._file.seek(at)
@@ -254,7 +255,8 @@ class CutMcap:
                 self._channels[channel] = schema, topic, encoding
             elif opcode == _MESSAGE:
                 channel, _, stamp, _ = _STAMPED.unpack_from(body)
-                if self._channels[channel][0] in self._schemas:
+                schema, *_ = self._channels.get(channel, (None,))
+                if schema in self._schemas:  # else a damaged chunk says of what it is
                     self._counts[channel] = self._counts.get(channel, 0) + 1
                     stamps.append(stamp)
         if stamps:
