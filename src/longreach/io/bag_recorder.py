@@ -13,7 +13,7 @@ from longreach.errors import RecordingError
 from longreach.io.bag_writer import BagWriter
 from longreach.io.mcap_file import McapWriter
 
-_FLUSH_EVERY = 0.25  # [s]
+_FLUSH_EVERY = 0.1  # [s]
 _WAITING = 20_000  # messages that the disk has not taken yet; about 20 s of a robot
 _LOG = logging.getLogger("longreach.recorder")
 
@@ -43,6 +43,7 @@ class Recorder:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = McapWriter(self._hidden)
+            self._bag = BagWriter(self._file)
         except OSError as error:
             raise RecordingError(f"{path} cannot be written: {error.strerror or error}.") from error
         self._thread = Thread(target=self._run, name="recorder", daemon=True)
@@ -77,7 +78,7 @@ class Recorder:
 
     def _write_all(self) -> None:
         """Write what comes until there is a None, and a chunk every while."""
-        bag, due = BagWriter(self._file), None
+        due = None
         while True:
             now = time.monotonic()
             if due is not None and now >= due:
@@ -90,7 +91,7 @@ class Recorder:
                 continue
             if item is None:
                 return
-            bag.write_cdr(*item)
+            self._bag.write_cdr(*item)
             due = now + _FLUSH_EVERY if due is None else due
 
     def _put_in_place(self) -> None:

@@ -46,7 +46,8 @@ _LATCHED = Qos(
 
 
 @cache
-def _store(is_ros1: bool) -> Any:
+def type_store(is_ros1: bool) -> Any:
+    """Return rosbags' types of ROS 1 Noetic or ROS 2 Humble; to make them takes a while, but only once."""
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:  # rosbags' ROS 1 types lack it
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
@@ -59,7 +60,7 @@ class BagWriter:
     def __init__(self, writer: Ros1Writer | Ros2Writer | McapWriter) -> None:
         self._writer = writer
         self._is_ros1 = isinstance(writer, Ros1Writer)
-        self._store = _store(self._is_ros1)
+        self._store = type_store(self._is_ros1)
         self.types: Types = self._store.types
         self._connections: dict[str, Any] = {}
 

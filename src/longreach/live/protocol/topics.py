@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_typestore
-
 from longreach.io.bag_topics import USUAL
+from longreach.io.bag_writer import type_store
 from longreach.robot.description import RobotDescription
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+STORE = type_store(False)
 TYPES: Mapping[str, Any] = STORE.types
 
 
