@@ -26,13 +26,13 @@ def free_port():
 class Served:
     """`longreach serve` with a simulated Thing, without scans. tokens: the operators' and the watchers'."""
 
-    def __init__(self, folder, *options, protocol="tcp", tokens=()):
+    def __init__(self, folder, *options, protocol="tcp", tokens=(), before=""):
         self.port, self.fresh = free_port(), True  # fresh: nobody has asked it for anything
         self.address = f"127.0.0.1:{self.port}"
         self.log = Path(folder) / f"server-{self.port}.log"
         command = ["serve", "--hardware", "kinematic", "--no-scans", "--address", self.address, *options]
         known = dict(zip(("LONGREACH_TOKEN", "LONGREACH_WATCHER_TOKEN"), tokens, strict=False))
-        program = [sys.executable, "-c", _SERVE, protocol, *map(str, command)]
+        program = [sys.executable, "-c", before + _SERVE, protocol, *map(str, command)]
         with self.log.open("w") as log:
             self.process = subprocess.Popen(program, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **known})
 

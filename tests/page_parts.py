@@ -16,3 +16,10 @@ def until(condition, page, limit=30.0):
     while not condition():
         assert time.monotonic() < end
         page.wait_for_timeout(20)
+
+
+def press(page, words):
+    """Press the button with these words in the panel."""
+    find = f"[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{words}'))"
+    until(lambda: page.evaluate(f"!!{find} && !{find}.disabled"), page)
+    page.evaluate(f"{find}.click()")

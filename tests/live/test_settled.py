@@ -13,10 +13,10 @@ from longreach.app.inputs import open_run
 from longreach.app.tracker import TrackerConfig
 from longreach.control.hardware import Readings, capabilities_of
 from longreach.io.bag_file import open_bag
+from longreach.io.bag_recorder import Recorder
 from longreach.io.records import planar_pose
 from longreach.io.robots import load_robot
 from longreach.live.protocol import topics
-from longreach.live.server.recorder import recording
 from longreach.live.server.server import Server, ServerConfig
 from longreach.measurement import Imu, JointState, LaserScan
 
@@ -68,7 +68,7 @@ def test_a_log_through_the_server_settles_the_rows_of_its_estimate(data, tmp_pat
     log = log.replace(wheels=tuple(w for w in log.wheels if w.stamp <= end), imu=())
     robot = load_robot(name)
     played, config = Played(robot, log, 0.02), TrackerConfig(estimate=EstimateConfig())
-    with recording(tmp_path / "said.mcap") as recorder:
+    with Recorder(tmp_path / "said.mcap") as recorder:
         address = f"127.0.0.1:{free_port()}"
         server = Server(robot, ("", ""), ServerConfig(address), config, recorder=recorder)
         try:

@@ -7,14 +7,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 import longreach as lr
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.interpolation import sample
-from longreach.measurement import JointState, LaserScan, Recording
+from longreach.io import messages
+from longreach.io.bag_recorder import Recorder
+from longreach.measurement import JointState, LaserScan, Odometry, Recording
 from longreach.trajectory import PoseTrajectory
 from longreach.view.replay import assemble
 
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TYPES = STORE.types
 _CHROMIUM = "/usr/bin/chromium"
 _FLAGS = [
     "--no-sandbox",
@@ -87,6 +92,20 @@ class Pretender:
 
     def on_scan(self, callback):
         return lambda: None
+
+    def record(self, path):
+        """Record some of what a robot says: wheels and the arm."""
+        recorder, names = Recorder(path), self.robot.joint_names[self.robot.arm]
+
+        def write(state):
+            odometry = messages.odometry(TYPES, state.stamp, Odometry(state.stamp, np.array(state.wheels)))
+            joints = messages.joint_state(TYPES, state.stamp, names, state.q[self.robot.arm])
+            for topic, message in ((self.robot.description.topics.wheels, odometry), ("/arm/joint_states", joints)):
+                payload = bytes(STORE.serialize_cdr(message, message.__msgtype__))
+                recorder.write(topic, message.__msgtype__, payload, state.stamp)
+
+        recorder.ended = self.on_state(write)
+        return recorder
 
     def plan(self, goal, method):
         self.orders.append((method, goal))

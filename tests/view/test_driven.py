@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from live_networks import Served
-from page_parts import CANVAS, STOP, box, until
+from page_parts import CANVAS, STOP, box, press, until
 
 import longreach as lr
 from longreach.view.bodies import rotation
@@ -35,13 +35,6 @@ def teleop(server, client, running, tmp_path):
     made = Teleop(server, client, tmp_path)
     running(made.loop)
     return made
-
-
-def press(page, words):
-    """Press the button with these words in the panel."""
-    find = f"[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{words}'))"
-    until(lambda: page.evaluate(f"!!{find} && !{find}.disabled"), page)
-    page.evaluate(f"{find}.click()")
 
 
 def hand_on(page, server):
@@ -111,7 +104,7 @@ def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, clien
     hand_on(page, server)
     before = client.state.q[:3].copy()
     press(page, "Record")
-    until(lambda: teleop._session is not None, page)
+    until(lambda: teleop._recorder is not None, page)
     until(lambda: page.keyboard.press("i") or np.linalg.norm(client.state.q[:2] - before[:2]) > 0.05, page)
     began = time.monotonic()
     left, top, *_ = box(page, STOP)
@@ -119,7 +112,7 @@ def test_what_is_driven_by_hand_is_recorded_and_stop_ends_it(page, server, clien
     until(lambda: client.state.latched, page)
     assert time.monotonic() - began < 20.0  # a browser without a graphics card is slow to see a mouse
     press(page, "Stop recording")
-    until(lambda: list(tmp_path.glob("session-*.mcap")) and teleop._session is None, page)
+    until(lambda: list(tmp_path.glob("session-*.mcap")) and teleop._recorder is None, page)
     (written,) = tmp_path.glob("session-*.mcap")
     run = read_run(written, "thing")
     way = run.frames[-1].wheels - run.frames[0].wheels

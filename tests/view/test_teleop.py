@@ -113,7 +113,28 @@ def test_a_session_that_was_recorded_is_shown_again(teleop, pretender, tmp_path)
     teleop.record()
     (written,) = tmp_path.glob("session-*.mcap")
     assert written.stat().st_size > 1000
-    assert read_run(written, "thing").robot.name == "thing"
+    assert len(read_run(written, "thing").frames) > 1
+
+
+def test_a_recording_that_cannot_go_on_ends_and_the_page_says_why(teleop, monkeypatch):
+    said = []
+    monkeypatch.setattr(teleop, "_tell", lambda title, body: said.append((title, body)))
+    teleop.record()
+    teleop._recorder.error = "run.mcap cannot be written any more: No space left on device."
+    teleop.show()
+    assert said[-1][0] == "The recording has ended early"
+    assert "No space left" in said[-1][1]
+    assert teleop.record_button.label == "Record"
+
+
+def test_a_recording_that_cannot_begin_is_said_on_the_page(teleop, monkeypatch, tmp_path):
+    said = []
+    monkeypatch.setattr(teleop, "_tell", lambda title, body: said.append(body))
+    teleop._folder = tmp_path / "file"
+    teleop._folder.touch()
+    teleop._try(teleop.record)
+    assert "cannot be written" in said[0]
+    assert teleop.record_button.label == "Record"
 
 
 def test_a_plan_that_does_not_exist_is_told_and_nothing_is_shown(teleop, pretender):

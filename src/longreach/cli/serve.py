@@ -23,7 +23,7 @@ def command(
         None, help="That of those who may look and stop only; else LONGREACH_WATCHER_TOKEN."
     ),
     certificates: Path | None = typer.Option(None, help="Folder with server.pem, server.key and ca.pem."),
-    record: Path | None = typer.Option(None, help="Write everything into a recording, .mcap or .bag."),
+    record: Path | None = typer.Option(None, help="Record everything into this .mcap."),
     world: str | None = typer.Option(
         None, help="Of a simulated robot: laboratory (default), office, corridor, warehouse, … or a YAML file."
     ),
@@ -70,7 +70,7 @@ def command(
             ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)
-    if record is not None:
+    if record is not None and record.exists():
         typer.echo(f"The recording is {record}.")
 
 

@@ -91,7 +91,7 @@ def read_bag(
         truth=truth,
         mounts=mounts,
         recorded_stamps=recorded,
-        remarks=(*remarks, *said, *guesses, *repairs, *lost),
+        remarks=(*bag.remarks, *remarks, *said, *guesses, *repairs, *lost),
     )
 
 

@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from longreach.errors import LongreachError, RecordingError
 from longreach.io.formats import recording_format
+from longreach.io.mcap_file import CutMcap
 
 _IDL = "=" * 80 + "\nIDL: "
 _HEADER = "std_msgs/msg/Header"
@@ -53,10 +54,10 @@ def _explained(path: Path) -> Iterator[None]:
 
 
 class BagFile:
-    """An open bag. Stamps are in nanoseconds here, as in the file."""
+    """An open bag. Stamps are in nanoseconds here, as in the file. remarks: a sentence each."""
 
-    def __init__(self, path: Path, reader: Any, is_ros1: bool) -> None:
-        self.path = path
+    def __init__(self, path: Path, reader: Any, is_ros1: bool, remarks: tuple[str, ...] = ()) -> None:
+        self.path, self.remarks = path, remarks
         self._reader = reader
         self._is_ros1 = is_ros1
         self.connections: list[Connection] = [c for c in reader.connections if c.msgcount]
@@ -138,12 +139,21 @@ def _time_ns(raw: bytes, at: int, order: Any, *, signed: bool) -> int:
     return seconds * 10**9 + int.from_bytes(raw[at + 4 : at + 8], order)
 
 
-def _reader(path: Path, kind: str) -> Any:
-    if kind == "ros1":
-        return Ros1Reader(path)
+def _opened(path: Path, kind: str) -> tuple[Any, tuple[str, ...]]:
+    """Return an open reader, and remarks."""
     if kind == "mcap":  # by its bytes; Ros2Reader goes by the name
-        return _McapFile(path)
-    return Ros2Reader(path)
+        reader = _McapFile(path)
+        try:
+            reader.open()
+        except Exception:  # its end is missing or damaged
+            with suppress(ValueError):
+                cut = CutMcap(path)
+                return cut, (cut.remark,)
+            raise
+        return reader, ()
+    reader = Ros1Reader(path) if kind == "ros1" else Ros2Reader(path)
+    reader.open()
+    return reader, ()
 
 
 class _McapFile(Ros2Reader):
@@ -157,7 +167,7 @@ class _McapFile(Ros2Reader):
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[BagFile]:
-    """Open a ROS 1 bag, a ROS 2 folder or an .mcap file.
+    """Open a ROS 1 bag, a ROS 2 folder or an .mcap file, of which the end may be missing.
 
     Raises:
         RecordingError: it is no bag, or damaged.
@@ -166,11 +176,10 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     if kind not in ("ros1", "ros2", "mcap"):
         raise RecordingError(f"{path} is no ROS bag.")
     with _explained(path):
-        reader = _reader(path, kind)
-        reader.open()
+        reader, remarks = _opened(path, kind)
     try:
         with _explained(path):
-            bag = BagFile(path, reader, kind == "ros1")
+            bag = BagFile(path, reader, kind == "ros1", remarks)
         yield bag
     finally:
         with suppress(Exception):

@@ -26,7 +26,7 @@ def inspect(path: Path) -> RecordingInfo:
             headers[name, type].append(0 if read is None else read(raw))
             received[name, type].append(receive_ns)
         start, end = bag.start_ns, bag.end_ns
-    topics, remarks = [], []
+    topics, remarks = [], list(bag.remarks)
     for name, type in keys:
         stamps = np.array(headers[name, type])
         if not stamps.any():

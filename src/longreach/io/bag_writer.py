@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -21,6 +20,7 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import RecordingError
 from longreach.io import messages
 from longreach.io.bag_topics import ESTIMATE, PLAN, TOOL, USUAL
+from longreach.io.mcap_file import McapWriter
 from longreach.io.messages import Types, nanoseconds
 from longreach.measurement import Odometry, Recording, Wheels, WheelSpeeds, WheelTicks
 from longreach.reference import Reference
@@ -46,7 +46,8 @@ _LATCHED = Qos(
 
 
 @cache
-def _store(is_ros1: bool) -> Any:
+def type_store(is_ros1: bool) -> Any:
+    """Return rosbags' types of ROS 1 Noetic or ROS 2 Humble; to make them takes a while, but only once."""
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:  # rosbags' ROS 1 types lack it
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
@@ -56,10 +57,10 @@ def _store(is_ros1: bool) -> Any:
 class BagWriter:
     """An open bag to write messages of the classes in `types` to."""
 
-    def __init__(self, writer: Ros1Writer | Ros2Writer) -> None:
+    def __init__(self, writer: Ros1Writer | Ros2Writer | McapWriter) -> None:
         self._writer = writer
         self._is_ros1 = isinstance(writer, Ros1Writer)
-        self._store = _store(self._is_ros1)
+        self._store = type_store(self._is_ros1)
         self.types: Types = self._store.types
         self._connections: dict[str, Any] = {}
 
@@ -112,15 +113,13 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
         path.parent.mkdir(parents=True, exist_ok=True)
         workplace = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         try:
+            written = workplace / path.name
             if path.suffix == ".bag":
-                writer, written = Ros1Writer(workplace / path.name), workplace / path.name
-            elif path.suffix == ".mcap":  # rosbags makes a folder with the file and a metadata.yaml, which we leave out
-                folder = workplace / path.stem
-                plugin = StoragePlugin.MCAP
-                writer = Ros2Writer(folder, version=_ROS2_VERSION, storage_plugin=plugin)
-                written = folder / f"{folder.name}.mcap"
+                writer = Ros1Writer(written)
+            elif path.suffix == ".mcap":
+                writer = McapWriter(written)
             else:
-                writer, written = Ros2Writer(workplace / path.name, version=_ROS2_VERSION), workplace / path.name
+                writer = Ros2Writer(written, version=_ROS2_VERSION)
             with writer:
                 yield BagWriter(writer)
             os.replace(written, path)

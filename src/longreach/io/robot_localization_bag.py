@@ -54,7 +54,8 @@ def read_spatial_recording(
         chosen, remarks = _topics(bag, settings)
         readings, commands, empty = _read_all(bag, settings, chosen, tree, progress or (lambda fraction: None))
     mounts, origins = _frames(readings, settings, tree)
-    return SpatialRecording(path.stem, tuple(readings), tuple(commands), mounts, origins, (*remarks, *empty))
+    remarks = (*bag.remarks, *remarks, *empty)
+    return SpatialRecording(path.stem, tuple(readings), tuple(commands), mounts, origins, remarks)
 
 
 def parse_transform(text: str) -> tuple[str, str, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

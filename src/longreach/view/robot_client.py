@@ -1,12 +1,14 @@
 """What a page asks of a client: the part of `longreach.connect`'s face that it uses."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
+from longreach.io.bag_recorder import Recorder
 from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
@@ -48,6 +50,10 @@ class RobotClient(Protocol):
 
     def on_scan(self, callback: Callable[[Any], None]) -> Callable[[], None]:
         """Call back with each new scan; returns what ends it."""
+        ...
+
+    def record(self, path: Path) -> Recorder:
+        """Record all that the robot says from now on, until the recorder is closed."""
         ...
 
     def plan(self, goal: Reference | Float[np.ndarray, "4 4"], method: Method) -> ConfigurationTrajectory:

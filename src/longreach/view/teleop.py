@@ -12,6 +12,7 @@ import numpy as np
 from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import LongreachError
 from longreach.geometry import se2
+from longreach.io.bag_recorder import Recorder
 from longreach.view import bodies, overlay
 from longreach.view.experiments import EXPERIMENTS, Asked
 from longreach.view.frame import Frame
@@ -21,7 +22,6 @@ from longreach.view.preview import Preview
 from longreach.view.replay import sweep_points
 from longreach.view.robot_client import RobotClient
 from longreach.view.scene import Follower, Scene
-from longreach.view.session import Session
 from longreach.view.trails import GrowingMap, Trail
 
 _FRAME = 0.05  # [s] between two pictures
@@ -56,7 +56,7 @@ class Teleop:
         self.map = GrowingMap(self.scene)
         self._twist, self._until, self._started = np.zeros(3), 0.0, 0.0
         self._dragging, self._busy, self._watched = False, "", 0.0  # when a browser was there last [s]
-        self._session: Session | None = None
+        self._recorder: Recorder | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
         self._follower = Follower(server)
         self._scan: tuple[Any, Any, Any] = (None, None, None)  # as it came, its points, and where the base was
@@ -81,7 +81,7 @@ class Teleop:
         self._add_driving()
         self._add_plans()
         self.record_button = gui.add_button(
-            "Record", color="gray", hint="All states and scans, into out/session-….mcap"
+            "Record", color="gray", hint="All that the robot says, into out/session-….mcap"
         )
         self.record_button.on_click(lambda _: self._try(self.record))
         self._magnified = gui.add_dropdown("Ellipse", ("1 ×", "10 ×", "50 ×"), initial_value="10 ×")
@@ -168,16 +168,19 @@ class Teleop:
         self.run_button.disabled = self.drop_button.disabled = True
 
     def record(self) -> None:
-        """Begin to record, or end it and write the recording."""
-        if self._session is None:
-            self._session = Session(self.client)
+        """Begin to record, or end it."""
+        if self._recorder is None:
+            self._recorder = self.client.record(self._folder / time.strftime("session-%Y%m%d-%H%M%S.mcap"))
             self.record_button.label, self.record_button.color = "Stop recording", "red"
+            self._tell("Recording", f"It goes to {self._recorder.path}.")
             return
-        session, self._session = self._session, None
+        recorder, self._recorder = self._recorder, None
         self.record_button.label, self.record_button.color = "Record", "gray"
-        path = self._folder / time.strftime("session-%Y%m%d-%H%M%S.mcap")
-        session.write(path)
-        self._tell(f"Recorded to {path}", "longreach view shows it again.")
+        recorder.close()
+        if recorder.error:
+            self._tell("The recording has ended early", recorder.error)
+        else:
+            self._tell(f"Recorded to {recorder.path}", "longreach view shows it again.")
 
     def _try(self, action: Callable[[], Any]) -> bool:
         """Do something and return whether it worked; if not, say why."""
@@ -226,8 +229,6 @@ class Teleop:
             self._release_when_alone()
             self.show(count)
         self._unwatch()
-        if self._session is not None:
-            self._try(self.record)
 
     def show(self, count: int = 0) -> None:
         """Show the newest state."""
@@ -249,6 +250,8 @@ class Teleop:
             if count % 5 == 0:
                 self._show_status(state)
                 self._notices.show(self._banner(state))
+                if self._recorder is not None and self._recorder.error:
+                    self._try(self.record)
             self._plots.take(state, show=count % 10 == 0)
 
     def _take_scan(self, count: int) -> None:

@@ -19,6 +19,7 @@ from longreach.control.hardware import Capabilities, Command, GripperCommand, Re
 from longreach.errors import LiveError, PlanningError
 from longreach.geometry import se3
 from longreach.io import messages
+from longreach.io.bag_recorder import Recorder
 from longreach.live.client import motions
 from longreach.live.client.connection import Connection, explained, read_description
 from longreach.live.client.state import LiveState
@@ -92,6 +93,7 @@ class Client:
 
     def __init__(self, connection: Connection, name: str) -> None:
         self._connection, self.name = connection, name
+        self._recorders: list[Recorder] = []
         self._robot = read_description(connection)
         self._subscriber = subscriber = Subscriber(connection.session, self._robot)
         connection.confirmed = lambda: subscriber.status.get("holder_id") == connection.sender.hex()
@@ -160,6 +162,21 @@ class Client:
         """Call back with each new scan, from the network's thread. Returns what ends it."""
         self._subscriber.on_scan.append(callback)
         return _ending(self._subscriber.on_scan, callback)
+
+    def record(self, path: Path | str) -> Recorder:
+        """Record all that the robot says into an MCAP, until what this returns is closed: use it with `with`.
+
+        Raises:
+            RecordingError: nothing can be written there.
+        """
+        recorder, start = Recorder(Path(path)), self.state.stamp
+        self._recorders.append(recorder)
+        recorder.ended = self._subscriber.tap(recorder.write)
+        for topic in (topics.TF_STATIC, topics.PLAN):  # said once, perhaps long ago
+            message = self._connection.lasting(topic)
+            if message is not None:
+                recorder.write(topic.name, topic.type, topic.pack(message), start)
+        return recorder
 
     def __iter__(self) -> Iterator[LiveState]:
         """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
@@ -381,7 +398,9 @@ class Client:
             self._connection.release()
 
     def close(self) -> None:
-        """Release the robot and hang up."""
+        """End recordings, release the robot and hang up."""
+        for recorder in self._recorders:
+            recorder.close()
         if self._subscriber.frames in connected:
             connected.remove(self._subscriber.frames)
         with suppress(LiveError):

@@ -43,6 +43,12 @@ def _call(callbacks: list[Callable[[_T], None]], value: _T) -> None:
             _LOG.exception("A callback has failed.")
 
 
+def _stamp(payload: bytes) -> float:
+    """Return the stamp [s] of a message with a header."""
+    seconds, rest = struct.unpack("<iI", payload[_STAMP])
+    return seconds + 1e-9 * rest
+
+
 class _Said(NamedTuple):
     """What was said at one tick, not looked at yet: payloads by their topics, and the newest status."""
 
@@ -72,6 +78,8 @@ class Subscriber:
             name: deque(maxlen=_KEPT) for name in ("wheels", "scans", "imu", "joints", "wrenches")
         }
         self._session, self._senses, self._reading = session, False, Lock()
+        self._taps: list[Callable[[str, str, bytes, float], None]] = []
+        self._clock = 0.0  # the stamp of the newest tick [s]
         self._waiting: SimpleQueue[Any] = SimpleQueue()
         self._thread = Thread(target=self._hear, name="hearing", daemon=True)
         self._thread.start()
@@ -83,11 +91,25 @@ class Subscriber:
             self.sensed.scans: self._take_scan,
             self.sensed.arm: self._take_arm,
         }
-        self._declared = [self._subscribe(topic, take) for topic, take in takes.items()]
+        self._of_tick = (topics.ESTIMATE, topics.WHEELS_ALONE, topics.STATUS, self.sensed.arm)
+        self._takes: dict[Topic, Callable[[bytes], object]] = {}
+        self._declared: dict[Topic, Any] = {}
+        for topic, take in takes.items():
+            self._subscribe(topic, take)
 
-    def _subscribe(self, topic: Topic, take: Callable[[bytes], None]) -> Any:
-        arrived = partial(self._arrived, topic, take)
-        return self._session.declare_subscriber(topic.key, zenoh().handlers.Callback(arrived, indirect=False))
+    def _subscribe(self, topic: Topic, take: Callable[[bytes], object]) -> None:
+        self._takes[topic] = take
+        if topic not in self._declared:
+            arrived = zenoh().handlers.Callback(partial(self._arrived, topic), indirect=False)
+            self._declared[topic] = self._session.declare_subscriber(topic.key, arrived)
+
+    def tap(self, write: Callable[[str, str, bytes, float], None]) -> Callable[[], None]:
+        """Call `write` with topic, type, payload and time [s] of all that the robot says; returns what ends that."""
+        self._taps.append(write)
+        for topic in (*topics.STREAMS, *self.sensed):
+            if topic not in self._declared:
+                self._subscribe(topic, lambda payload: None)
+        return lambda: self._taps.remove(write)
 
     def sense(self) -> None:
         """Hear what wheels, IMU and wrench say, too, from now on; most clients need not."""
@@ -100,19 +122,19 @@ class Subscriber:
             "wrenches": (sensed.wrench, records.wrench),
         }
         for kind, (topic, make) in makes.items():
-            self._declared.append(self._subscribe(topic, partial(self._take_reading, kind, topic, make)))
+            self._subscribe(topic, partial(self._take_reading, kind, topic, make))
 
-    def _arrived(self, topic: Topic, take: Callable[[bytes], None], sample: Any) -> None:
+    def _arrived(self, topic: Topic, sample: Any) -> None:
         """Put what has arrived in the queue, in zenoh's own thread; where nobody keeps up with it, it is lost."""
         if self._waiting.qsize() < _WAITING:
-            self._waiting.put((time.time_ns(), topic, take, sample))
+            self._waiting.put((time.time_ns(), topic, sample))
 
     def _hear(self) -> None:
         """Take what has arrived in its order, whatever topic it is of, until the connection is closed."""
         while (item := self._waiting.get()) is not None:
-            came, topic, take, sample = item
+            came, topic, sample = item
             try:
-                self._take(came, topic, take, sample)
+                self._take(came, topic, sample)
             except Exception:
                 self._cannot_use(topic)
 
@@ -120,7 +142,7 @@ class Subscriber:
         self.malformed += 1
         _LOG.debug("A message on %s cannot be used.", topic.name, exc_info=True)
 
-    def _take(self, came: int, topic: Topic, take: Callable[[bytes], None], sample: Any) -> None:
+    def _take(self, came: int, topic: Topic, sample: Any) -> None:
         """Take a message. Whatever it raises: it is none, too large, or does not say what it should."""
         if len(sample.payload) > topic.limit or sample.attachment is None:
             raise ValueError("too large, or without a header")
@@ -130,7 +152,14 @@ class Subscriber:
         if before is not None:
             self.lost += max(about.number - before - 1, 0)
         self._numbers[about.sender] = about.number
-        take(bytes(sample.payload))
+        payload = bytes(sample.payload)
+        if topic in self._of_tick:
+            self._clock = max(self._clock, _stamp(payload))
+        if self._taps:
+            topic.unpack(payload)  # what cannot be read would spoil a recording
+            for write in tuple(self._taps):
+                write(topic.name, topic.type, payload, self._clock)
+        self._takes[topic](payload)
 
     def close(self) -> None:
         """Hear no more."""
@@ -168,8 +197,7 @@ class Subscriber:
             return
         tick[self.sensed.arm] = payload
         said = _Said(tick, self.status)
-        seconds, rest = struct.unpack("<iI", payload[_STAMP])
-        self.frames.add(seconds + 1e-9 * rest, lambda: self._made(said))
+        self.frames.add(_stamp(payload), lambda: self._made(said))
         with self.changed:
             self._newest, self.heard = said, time.monotonic()
             self.changed.notify_all()

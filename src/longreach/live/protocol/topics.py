@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_typestore
-
 from longreach.io.bag_topics import USUAL
+from longreach.io.bag_writer import type_store
 from longreach.robot.description import RobotDescription
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+STORE = type_store(False)
 TYPES: Mapping[str, Any] = STORE.types
 
 
@@ -57,6 +56,7 @@ TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", 1 << 20)
 PLAN = Topic("/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 1 << 24)
 URDF = Topic("/robot_description", "std_msgs/msg/String", 1 << 24)
 DESCRIPTION = Topic("/longreach/description", "std_msgs/msg/String", 1 << 20)
+STREAMS = (ESTIMATE, SETTLED, WHEELS_ALONE, TOOL_TRUTH, REFERENCE, STATUS, TF, TF_STATIC, PLAN)
 # What clients send in a stream.
 TWIST = Topic("/cmd_vel", "geometry_msgs/msg/TwistStamped")
 JOINTS = Topic("/arm/command", "sensor_msgs/msg/JointState", 16384)

@@ -13,6 +13,7 @@ from longreach.app.goals import Follow
 from longreach.app.robot_side import Orders, TickRecord
 from longreach.app.tracker import TrackerConfig
 from longreach.io import messages
+from longreach.io.bag_recorder import Recorder
 from longreach.live.protocol import topics
 from longreach.live.protocol.message_header import pack_header
 from longreach.live.protocol.topics import TYPES, Sensed, Topic
@@ -20,7 +21,6 @@ from longreach.live.protocol.transport import OPERATOR, ROLE_KEYS, WATCHER, open
 from longreach.live.server import publisher
 from longreach.live.server.authentication import Authentication, RejectionCounts
 from longreach.live.server.listener import Listener
-from longreach.live.server.recorder import Recorder
 from longreach.live.server.ros_graph import announced
 from longreach.measurement import JointState
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -28,10 +28,6 @@ from longreach.sim.simulated import Truth
 
 HEARTBEAT_TIMEOUT = 0.24  # so that a client that vanishes stops the robot within 0.25 s
 _STATUS_EVERY, _FRAMES_EVERY = 0.1, 0.04  # [s]
-_STREAMS = (
-    topics.ESTIMATE, topics.SETTLED, topics.WHEELS_ALONE, topics.TOOL_TRUTH, topics.REFERENCE, topics.STATUS, topics.TF,
-    topics.TF_STATIC, topics.PLAN,
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ class Server:
         self._robot, self._truth, self._recorder = robot, truth, recorder
         self._nonce = secrets.token_bytes(16)
         self._sensed = Sensed.of(robot.description)
-        streams = (*_STREAMS, *self._sensed)
+        streams = (*topics.STREAMS, *self._sensed)
         self._senders = {
             topic: secrets.token_bytes(16) for topic in streams
         }  # each publisher has an identity, as in ROS
@@ -174,7 +170,7 @@ class Server:
             return
         payload = topic.pack(message)
         if self._recorder is not None:
-            self._recorder.write(topic, payload, now)
+            self._recorder.write(topic.name, topic.type, payload, now)
         if listens:
             self._numbers[topic] += 1
             publisher.put(payload, attachment=pack_header(self._numbers[topic], self._senders[topic]))

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +18,12 @@ from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Command, Hardware
 from longreach.control.safety_config import SafetyConfig
 from longreach.control.ticker import Ticker
+from longreach.io.bag_recorder import Recorder
 from longreach.io.config import description_file, to_yaml
 from longreach.io.robots import load_robot
 from longreach.live.protocol.topics import Sensed
 from longreach.live.server import publisher
 from longreach.live.server.authentication import RejectionCounts
-from longreach.live.server.recorder import recording
 from longreach.live.server.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Simulated
@@ -105,7 +106,7 @@ def serve(
         assert isinstance(hardware, Simulated)
         wait_until = paced = Paced(hardware)
     settings = tracker_config(hardware, robot, scans)
-    with recording(record) as recorder:
+    with nullcontext() if record is None else Recorder(record) as recorder:
         server = Server(robot, description, config, settings, truth, recorder, rejections)
         try:
             ready(server)

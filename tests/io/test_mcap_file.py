@@ -1,0 +1,212 @@
+"""An MCAP without its end is read up to its last whole chunk, and a remark says so; it is never a traceback."""
+
+import re
+import tracemalloc
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
+
+from longreach.errors import RecordingError
+from longreach.io import messages
+from longreach.io.bag import read_bag
+from longreach.io.bag_file import open_bag
+from longreach.io.bag_info import inspect
+from longreach.io.bag_writer import BagWriter
+from longreach.io.mcap_file import McapWriter
+from longreach.measurement import Imu
+from longreach.robot.description import RobotDescription
+
+ROBOT = RobotDescription(name="r")
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TYPE, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
+SMALL = bytes(STORE.serialize_cdr(STORE.types[TEXT]("x"), TEXT))
+
+
+def payload(i):
+    return bytes(STORE.serialize_cdr(messages.imu(STORE.types, 0.01 * i, Imu(0.0, np.ones(3), np.zeros(3))), TYPE))
+
+
+def chunks_of(path, chunks, each=4, topic="/imu", type=TYPE, payload=payload):
+    """Write an MCAP of chunks and return where in the file each of them ends, with its index of messages."""
+    ends = []
+    with McapWriter(path) as file:
+        bag = BagWriter(file)
+        for i in range(chunks * each):
+            bag.write_cdr(topic, type, payload(i), 0.01 * i)
+            if i % each == each - 1:
+                file.flush()
+                ends.append(path.stat().st_size)
+    return ends
+
+
+def test_a_file_that_was_cut_is_read_up_to_its_last_whole_chunk_at_every_byte(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3, 2, "/text", TEXT, lambda i: SMALL)
+    whole = path.read_bytes()
+    assert inspect(path).remarks == ()
+    index = 9 + 2 + 4 + 2 * 16  # bytes behind each chunk that are not needed
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        there = sum(size >= end - index for end in ends)
+        if not there:
+            with pytest.raises(RecordingError, match=r"damaged or cut short|is empty"):
+                inspect(path)
+            continue
+        info = inspect(path)
+        assert [(topic.topic, topic.count) for topic in info.topics] == [("/text", 2 * there)]
+        (remark,) = info.remarks
+        assert re.search(rf"cut off, its file has no end: the {info.duration:.1f} s", remark)
+
+
+def test_what_is_read_of_a_cut_file_is_what_was_written_and_the_remark_goes_with_it(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3)
+    path.write_bytes(path.read_bytes()[: ends[-1]])
+    recording = read_bag(path, ROBOT)
+    assert [imu.stamp for imu in recording.imu] == pytest.approx(0.01 * np.arange(12))
+    assert recording.remarks == inspect(path).remarks
+    assert len(recording.remarks) == 1
+
+
+def test_a_cut_file_whose_bytes_changed_is_read_or_refused_but_never_crashes(tmp_path, rng):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 5)
+    cut = path.read_bytes()[: ends[-1]]
+    for _ in range(300):
+        bad = bytearray(cut)
+        at = int(rng.integers(len(cut)))
+        count = int(rng.choice([1, 8, 40]))
+        bad[at : at + count] = rng.integers(0, 256, count, dtype=np.uint8).tobytes()
+        path.write_bytes(bad[: len(cut)])
+        for read in (lambda: read_bag(path, ROBOT), lambda: inspect(path)):
+            with suppress(RecordingError):
+                read()
+
+
+def test_a_damaged_chunk_of_a_cut_file_is_left_out(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3)
+    bad = bytearray(path.read_bytes()[: ends[-1]])
+    bad[ends[0] + 300] ^= 1  # in a payload of the second chunk
+    path.write_bytes(bad)
+    info = inspect(path)
+    assert info.topics[0].count == 8
+    assert info.remarks[0].endswith("are read; 1 damaged chunks are left out.")
+
+
+def test_a_chunk_of_a_whole_file_whose_bytes_changed_is_noticed(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3)
+    bad = bytearray(path.read_bytes())
+    bad[ends[0] + 300] ^= 1
+    path.write_bytes(bad)
+    with pytest.raises(RecordingError, match="Chunk checksum mismatch"):
+        read_bag(path, ROBOT)
+
+
+def test_a_file_of_another_profile_is_refused_as_one_of_ros_2_is_read(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 3)
+    for size in (ends[-1], None):
+        path.write_bytes(path.read_bytes().replace(b"ros2", b"ros1", 1)[:size])
+        with pytest.raises(RecordingError, match="cannot be read as a ROS bag"):
+            inspect(path)
+
+
+def test_where_the_chunk_that_names_a_topic_is_damaged_the_others_are_read(tmp_path):
+    path = tmp_path / "run.mcap"
+    with McapWriter(path) as file:
+        bag = BagWriter(file)
+        for i in range(4):  # the third chunk has messages of both
+            bag.write_cdr(*(("/two", TEXT, SMALL) if i % 2 else ("/one", TYPE, payload(i))), 0.01 * i)
+            if i != 2:
+                file.flush()
+            if i == 0:
+                first = path.stat().st_size
+        cut = path.stat().st_size
+    bad = bytearray(path.read_bytes()[:cut])
+    bad[first - 200] ^= 1
+    path.write_bytes(bad)
+    assert [(topic.topic, topic.count) for topic in inspect(path).topics] == [("/two", 2)]
+
+
+def test_zeros_behind_the_last_chunk_as_a_power_cut_leaves_them_are_no_records(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 2)
+    path.write_bytes(path.read_bytes()[: ends[-1]] + bytes(5000))
+    assert inspect(path).topics[0].count == 8
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_cut_files_of_other_writers_are_read_too(tmp_path, compressed):
+    """Of rosbags, which has no CRCs."""
+    writer = Ros2Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP)
+    if compressed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/imu", TYPE, typestore=STORE)
+        for i in range(6000):
+            writer.write(connection, 10**7 * i, payload(i))
+    path = tmp_path / "run" / "run.mcap"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    imu = read_bag(path, ROBOT).imu
+    assert 1000 < len(imu) < 6000
+    assert [one.stamp for one in imu] == pytest.approx(0.01 * np.arange(len(imu)))
+
+
+def test_a_cut_file_without_chunks_is_read(tmp_path):
+    """As the preset fastwrite of ROS 2 writes it: what a chunk holds stands in the file itself."""
+    path = tmp_path / "run.mcap"
+    chunks_of(path, 1, each=10)
+    whole = path.read_bytes()
+    start = 8 + 9 + int.from_bytes(whole[9:17], "little")  # of the chunk's record
+    size = int.from_bytes(whole[start + 9 + 16 : start + 9 + 24], "little")
+    records = start + 9 + 28 + 4 + 8
+    path.write_bytes(whole[:start] + whole[records : records + size - 1])  # the last message lacks a byte
+    assert len(read_bag(path, ROBOT).imu) == 9
+
+
+def test_messages_of_overlapping_chunks_come_in_the_order_of_time(tmp_path):
+    path = tmp_path / "run.mcap"
+    with McapWriter(path) as file:
+        bag = BagWriter(file)
+        for k, stamps in enumerate(([3, 1, 5], [2, 4, 9], [6, 8, 7])):
+            for i in stamps:
+                bag.write_cdr("/imu", TYPE, payload(i), 0.01 * i)
+            file.flush()
+            if k == 2:
+                cut = path.stat().st_size
+    with open_bag(path) as bag:
+        whole = list(bag.raw_messages([("/imu", TYPE)]))
+    path.write_bytes(path.read_bytes()[:cut])
+    with open_bag(path) as bag:
+        assert bag.remarks
+        found = list(bag.raw_messages([("/imu", TYPE)]))
+    assert [stamp for *_, stamp, _ in found] == [10**7 * i for i in range(1, 10)]
+    assert [raw for *_, raw in found] == [raw for *_, raw in whole]
+
+
+def test_memory_does_not_grow_with_what_is_written(tmp_path):
+    raw = payload(0)
+    with McapWriter(tmp_path / "run.mcap") as file:
+        bag = BagWriter(file)
+
+        def write(chunks):
+            for i in range(chunks):
+                bag.write_cdr("/imu", TYPE, raw, 0.01 * i)
+                file.flush()
+
+        write(10)  # connections are made
+        tracemalloc.start()
+        try:
+            write(1000)
+            grown, _ = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert grown < 20_000
+    assert inspect(tmp_path / "run.mcap").topics[0].count == 1010
