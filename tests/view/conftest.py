@@ -58,7 +58,7 @@ class Pretender:
     def __init__(self, robot):
         self.robot, self.scan, self.age, self.orders = robot, None, 0.0, []
         self._q, self._start, self._plan, self.stopped = robot.home.copy(), time.monotonic(), None, 0.0
-        self._begun = 0.0
+        self._begun, self.reason, self.holder = 0.0, "The client says stop.", ""
 
     @property
     def state(self):
@@ -69,7 +69,7 @@ class Pretender:
         return SimpleNamespace(
             stamp=time.monotonic() - self._start, q=self._q, velocity=zero, covariance=1e-4 * np.eye(3),
             wheels=self._q[:3], truth=self._q[:3], tool_truth=None, goal="hold", progress=0.0, loop_time=1e-3,
-            stop="The client says stop." if self.stopped else "", latched=bool(self.stopped), holder="",
+            stop=self.reason if self.stopped else "", latched=bool(self.stopped), holder=self.holder,
         )  # fmt: skip
 
     def on_state(self, callback):

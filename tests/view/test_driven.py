@@ -46,7 +46,7 @@ def press(page, words):
 
 def hand_on(page, server):
     """Open the page and return what projects points of the world to it."""
-    page.goto(f"http://127.0.0.1:{server.get_port()}")
+    page.goto(server.gate.address)
     until(lambda: server.get_clients() and page.evaluate(f"{STOP} && {CANVAS}?.clientHeight > 100"), page)
     page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
     page.wait_for_timeout(1500)

@@ -32,10 +32,10 @@ def command(
     from longreach.cli.progress import shown_progress
     from longreach.io.robots import load_robot
     from longreach.live.realtime_settings import apply_realtime_settings
-    from longreach.live.server.authentication import RejectionCounts
     from longreach.live.server.rejected_connections import counted
     from longreach.live.server.server import ServerConfig
     from longreach.live.server.serving import described, rehearse, serve
+    from longreach.rejection_counts import RejectionCounts
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", stream=sys.stderr)
     loaded, config, rejections = load_robot(robot), ServerConfig(address, token, certificates), RejectionCounts()
