@@ -51,7 +51,7 @@ function trouble() {
   if (pressed && now - pressed > UNCONFIRMED)
     return ['The robot has not confirmed STOP.', `It is sent again and again. ${BUTTON}`];
   if (age > OLD)
-    return [`The robot is silent for ${age.toFixed(1)} s.`, `STOP from here may not reach it. ${BUTTON}`];
+    return [`The robot has been silent for ${age.toFixed(1)} s.`, `STOP from here may not reach it. ${BUTTON}`];
   return null;
 }
 
