@@ -86,7 +86,9 @@ def seconds_until_it_says(page, words, since):
     until(lambda: page.evaluate(f"!!{find}"), page)
     assert words in says(page)
     assert is_off(page)
-    return page.evaluate(f"{find}[0]") - since
+    took = page.evaluate(f"{find}[0]") - since
+    print(f"{words}: after {took:.2f} s")
+    return took
 
 
 def test_space_stops_whatever_has_the_focus_and_does_nothing_else(page, server, pretender, running, tmp_path):
