@@ -64,6 +64,7 @@ class Pretender:
         self.robot, self.scan, self.age, self.orders = robot, None, 0.0, []
         self._q, self._start, self._plan, self.stopped = robot.home.copy(), time.monotonic(), None, 0.0
         self._begun, self.holds, self.covariance = 0.0, False, 1e-4 * np.eye(3)
+        self.reason, self.holder = "The client says stop.", ""
 
     @property
     def state(self):
@@ -74,7 +75,7 @@ class Pretender:
         return SimpleNamespace(
             stamp=time.monotonic() - self._start, q=self._q, velocity=zero, covariance=self.covariance,
             wheels=self._q[:3], truth=self._q[:3], tool_truth=None, goal="hold", progress=0.0, loop_time=1e-3,
-            stop="The client says stop." if self.stopped else "", latched=bool(self.stopped), holder="",
+            stop=self.reason if self.stopped else "", latched=bool(self.stopped), holder=self.holder,
             joints={}, cause="emergency stop" if self.stopped else "", stopped_by="page" if self.stopped else "",
             stopped_at=self.stopped - self._start if self.stopped else 0.0,
         )  # fmt: skip

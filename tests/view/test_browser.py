@@ -21,7 +21,7 @@ def picture(page, path):
 
 def opened(page, server):
     began = time.monotonic()
-    page.goto(f"http://127.0.0.1:{server.get_port()}")
+    page.goto(server.gate.address)
     page.wait_for_selector("canvas")
     return time.monotonic() - began
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from longreach.errors import LiveError
 from longreach.view.replay import read_run
 from longreach.view.teleop import Teleop
 
@@ -45,12 +46,56 @@ def test_a_drag_that_follows_at_once_reaches(teleop, pretender):
     assert pretender.orders[0][0] == "reach"
 
 
-def test_a_key_drives_and_letting_go_of_it_holds(teleop, pretender, running):
+def twists(pretender):
+    return [twist for order, twist in pretender.orders if order == "velocity"]
+
+
+def test_keys_drive_together_and_letting_go_of_them_holds(teleop, pretender, running):
     running(teleop.loop)
-    teleop.drive("I")
+    teleop.control.hold("page", "I")
+    until(lambda: len(twists(pretender)) > 2)
+    np.testing.assert_allclose(twists(pretender)[0], [0.3, 0.0, 0.0])
+    teleop.control.hold("page", "IU")
+    until(lambda: np.allclose(twists(pretender)[-1], [0.3, 0.0, 0.45]))
+    teleop.control.hold("page", "")
     until(lambda: ("hold", None) in pretender.orders)
-    twists = [twist for order, twist in pretender.orders if order == "velocity"]
-    np.testing.assert_allclose(twists[0], [0.3, 0.0, 0.0])
+    time.sleep(0.2)
+    assert pretender.orders[-1] == ("hold", None)
+
+
+def test_opposite_keys_of_two_pages_stand_against_each_other(teleop):
+    teleop.control.hold("one", "IL")
+    teleop.control.hold("another", "K")
+    np.testing.assert_allclose(teleop.control.twist(), [0.0, -0.3, 0.0])
+
+
+def test_a_page_that_is_silent_holds_no_key(teleop, pretender, running):
+    running(teleop.loop)
+    teleop.control.hold("page", "I")
+    until(lambda: ("hold", None) in pretender.orders)
+    assert len(twists(pretender)) > 2
+    assert teleop.control.twist() is None
+
+
+def test_a_key_whose_driving_is_refused_is_said_once_and_tried_anew_when_it_is_pressed_anew(teleop, pretender, running):
+    said, refused = [], []
+    teleop.control._tell = lambda title, words: said.append(words)
+
+    def refuse(arm=None, base=None):
+        refused.append(base)
+        raise LiveError("Somebody holds the robot.")
+
+    pretender.velocity = refuse
+    running(teleop.loop)
+    for times in (1, 2):
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            teleop.control.hold("page", "I")
+            time.sleep(0.02)
+        assert said == ["Somebody holds the robot."] * times
+        assert len(refused) == times
+        teleop.control.hold("page", "")
+        time.sleep(0.2)
 
 
 def test_a_stopped_robot_is_sent_nothing_and_one_notice_says_so(teleop, pretender, running):
@@ -108,7 +153,6 @@ def test_the_robot_is_released_a_second_after_the_last_browser_unless_one_comes_
 
 def test_a_session_that_was_recorded_is_shown_again(teleop, pretender, tmp_path):
     teleop.record()
-    teleop.drive("I")
     time.sleep(0.3)
     teleop.record()
     (written,) = tmp_path.glob("session-*.mcap")

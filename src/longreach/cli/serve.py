@@ -43,10 +43,10 @@ def command(
     from longreach.io.robots import load_robot
     from longreach.live.protocol.transport import server_settings
     from longreach.live.realtime_settings import apply_realtime_settings
-    from longreach.live.server.authentication import RejectionCounts
     from longreach.live.server.rejected_connections import counted
     from longreach.live.server.server import ServerConfig
     from longreach.live.server.serving import described, rehearse, serve
+    from longreach.rejection_counts import RejectionCounts
 
     loaded, rejections = load_robot(robot), RejectionCounts()
     token, watcher_token = read_token(token_file), read_token(watcher_token_file, WATCHER_TOKEN)

@@ -96,7 +96,7 @@ def _serve(server: object, loop: object, browser: bool, duration: float | None) 
         timer = threading.Timer(duration, until.set)
         timer.daemon = True
         timer.start()
-    address = f"http://127.0.0.1:{page.get_port()}"
+    address = page.gate.address  # with its secret
     opened = browser and webbrowser.open(address)
     typer.echo(f"{'The page is' if opened else 'Open'} {address}{'' if opened else ' in a browser'}; Ctrl+C ends it.")
     try:

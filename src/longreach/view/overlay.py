@@ -1,11 +1,14 @@
-"""What lies over viser's page whatever its panel does: a stop button, notices, and a layout for narrow screens.
+"""What lies over viser's page whatever its panel does: STOP, banners, notices, a layout for narrow screens; the pad.
 
-viser's panel takes its buttons with it when somebody minimises it, and its keys are dead while a field has the focus.
-The stop is therefore of the page itself: an HTML element of the panel brings it along, once. Notices are viser's.
+viser's panel takes its buttons with it when somebody minimises it. STOP is therefore of the page itself: an HTML
+element of the panel brings it along, once, with the script that is behind it. Notices are viser's.
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
 from typing import Any
 
 from longreach.evaluation import style
@@ -20,8 +23,6 @@ _LAYOUT = f"""
     position: relative !important; flex: none; width: 100% !important; max-height: 38% !important; }}
   #root .mantine-ScrollArea-content > div {{ width: 100% !important; }}
 }}
-div:has(> .longreach-pad) ~ div {{ display: inline-block; width: calc(33.3% - .8em);
-  margin: 0 .4em !important; }}
 """
 _STOP = f"""
 #longreach-stop {{ position: fixed; left: 16px; bottom: 16px; z-index: 100000; width: 8.5rem; height: 4rem;
@@ -29,11 +30,18 @@ _STOP = f"""
   font: 700 1.5rem/1 system-ui, sans-serif; letter-spacing: .05em; box-shadow: 0 2px 10px rgb(0 0 0 / .35);
   touch-action: manipulation; user-select: none; }}
 #longreach-stop small {{ display: block; margin-top: .25rem; font: 400 .75rem/1 system-ui, sans-serif; }}
+#longreach-stop.longreach-off {{ background: #868e96; text-decoration: line-through; }}
+#longreach-banner {{ display: none; position: fixed; z-index: 100000; left: 50%; top: 16px; transform: translateX(-50%);
+  box-sizing: border-box; width: min(40rem, 100vw - 32px); padding: 1rem 1.25rem; border: 3px solid #fff;
+  border-radius: 12px; background: #1c1e21; color: #fff; font: 400 1.1rem/1.35 system-ui, sans-serif;
+  box-shadow: 0 2px 10px rgb(0 0 0 / .35); pointer-events: none; }}
+#longreach-banner b {{ display: block; font-size: 1.5rem; margin-bottom: .2rem; }}
 #longreach-stop:hover {{ filter: brightness(1.1); }}
 #longreach-stop:active {{ filter: brightness(.75); }}
 @media (max-width: {_NARROW}) {{
   #longreach-stop {{ left: auto; bottom: auto; right: 12px; top: 12px; width: 6.5rem; }}
   #longreach-stop small {{ display: none; }}
+  #longreach-banner {{ top: 88px; width: calc(100vw - 24px); }}
 }}
 """
 _BANNER_COLOUR = (178, 34, 34)  # of nothing else in the page
@@ -55,32 +63,26 @@ _NOTICES = f"""
 }}
 """
 _LASTS = 8.0  # a notice, after it was given last [s]
-# A touch counts when it begins. The space bar is the hotkey of the command "Stop"; in fields viser would not hear it.
-_SCRIPT = """
-const b = document.createElement('button');
-b.id = 'longreach-stop'; b.type = 'button'; b.title = 'Brake at once and stay so';
-b.innerHTML = 'STOP<small>space bar</small>';
-const stop = () => document.documentElement.dispatchEvent(
-  new KeyboardEvent('keydown', { key: ' ', code: 'Space', bubbles: true }));
-b.addEventListener('pointerdown', stop);
-b.addEventListener('click', stop);
-document.body.append(b);
-window.addEventListener('keydown', e => {
-  if (e.isTrusted && e.code === 'Space' && e.target.matches('input, textarea, select, button')) {
-    e.preventDefault(); e.stopImmediatePropagation(); stop();
-  }
-}, true);
+_PAD = """
+.longreach-pad { display: grid; grid-template-columns: repeat(3, 1fr); gap: .4em; padding: .2em .6em; }
+.longreach-pad button { height: 2.2rem; border: 1px solid #ced4da; border-radius: 4px; background: #f1f3f5;
+  color: #212529; font: 600 .9rem/1 system-ui, sans-serif; cursor: pointer; touch-action: none; user-select: none;
+  -webkit-user-select: none; -webkit-touch-callout: none; }
+.longreach-pad button:active { background: #ced4da; }
 """
+# viser's client adds the websocket's address to the page's, which has a path; it is the same without.
+_PLAIN_ADDRESS = "history.replaceState(null, '', location.pathname);"
 
 
 def add_layout(server: Any) -> None:
     """Let the scene have most of a narrow screen, whatever is in the panel."""
-    server.gui.add_html(_lasting("longreach-layout", _LAYOUT))
+    server.gui.add_html(_lasting("longreach-layout", _LAYOUT, _PLAIN_ADDRESS))
 
 
 def add_stop(server: Any) -> None:
-    """Add the stop button; it triggers the command that has the space bar as its hotkey."""
-    server.gui.add_html(_lasting("longreach-stop-style", _STOP, _SCRIPT))
+    """Add STOP, the banner that says when it cannot reach the robot, and what hears keys and the pad's buttons."""
+    script = files("longreach.view").joinpath("control.js").read_text(encoding="utf-8")
+    server.gui.add_html(_lasting("longreach-stop-style", _STOP, script))
 
 
 @dataclass
@@ -132,12 +134,13 @@ class Notices:
                     handle.title, handle.body = title, body
 
 
-def add_pad(server: Any) -> None:
-    """Let the buttons that follow in a folder stand three in a row."""
-    server.gui.add_html('<span class="longreach-pad"></span>')
+def add_pad(server: Any, labels: Mapping[str, str]) -> None:
+    """Add buttons that drive while they are held, three in a row; labels: of each, by its key."""
+    buttons = "".join(f'<button type="button" data-drive="{key}">{label}</button>' for key, label in labels.items())
+    server.gui.add_html(f'<style>{_PAD}</style><div class="longreach-pad">{buttons}</div>')
 
 
 def _lasting(name: str, css: str, script: str = "") -> str:
     """Return a style that stays when the panel's elements go, and whose script runs once."""
-    kept = f"this.id = '{name}'; document.head.append(this); {script}"
-    return f"<style onload=\"if (!document.getElementById('{name}')) {{ {kept} }}\">{css}</style>"
+    once = f"if (!document.getElementById('{name}')) {{ this.id = '{name}'; document.head.append(this);\n{script} }}"
+    return f'<style onload="{escape(once)}">{css}</style>'

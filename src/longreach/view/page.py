@@ -3,14 +3,17 @@
 import io
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from html import escape
 from typing import Any
 
 import numpy as np
 
 from longreach.view import overlay
 from longreach.view.frame import Plot
+from longreach.view.gate import Gate, guarded
 from longreach.view.scene import COLOURS, engine
 
+_LONGEST = 300  # letters of a text from elsewhere
 _NAMES = {
     "estimate": "estimate: the robot, and the ellipse that the base is in with 95 %",
     "wheels": "base by its wheels alone, as an outline",
@@ -25,9 +28,15 @@ _NAMES = {
 
 
 def open_page(host: str = "127.0.0.1", port: int = 8080) -> Any:
-    """Start a viser server, without anything in it but its look."""
-    with redirect_stdout(io.StringIO()):  # it has a banner of its own
-        server = engine().ViserServer(host=host, port=port, label="longreach", verbose=False)
+    """Start a viser server, without anything in it but its look; its `gate` says who may speak to it, and its address.
+
+    Raises:
+        ConfigError: viser is not installed, or a version of it that strangers could speak to.
+    """
+    viser, gate = engine(), Gate()
+    with guarded(gate), redirect_stdout(io.StringIO()):  # it has a banner of its own
+        gate.server = server = viser.ViserServer(host=host, port=port, label="longreach", verbose=False)
+    server.gate = gate
     server.gui.configure_theme(
         show_logo=False, show_share_button=False, control_width="medium", brand_color=(0, 114, 178)
     )
@@ -49,6 +58,15 @@ def close_page(server: Any) -> None:
     """End a page's server."""
     with redirect_stdout(io.StringIO()):
         server.stop()
+
+
+def text_html(words: str) -> str:
+    """Return words that may come from anybody as HTML that shows them, and does nothing else.
+
+    All such words come into the page here, or as a notification or label, which viser shows as text. They never go into
+    viser's markdown, which takes HTML and fetches pictures.
+    """
+    return escape(" ".join(words.split())[:_LONGEST])
 
 
 def legend_html(shown: Sequence[str]) -> str:
@@ -75,7 +93,9 @@ class PlotPanel:
         grid = {"show": True, "stroke": "#e6e8eb", "width": 1}
         names = [{"label": "t [s]"}]
         names += [{"label": c.name, "stroke": c.colour, "width": 1.6, "points": {"show": False}} for c in plot.curves]
-        server.gui.add_html(f'<div style="font-size:.8em;font-weight:600;padding:.3em .6em 0">{plot.title}</div>')
+        server.gui.add_html(
+            f'<div style="font-size:.8em;font-weight:600;padding:.3em .6em 0">{text_html(plot.title)}</div>'
+        )
         span = (float(times[0]), float(times[-1]))
         self._handle = server.gui.add_uplot(
             self._data(len(times)), tuple(names), height=150, visible=visible,

@@ -14,10 +14,11 @@ from longreach.errors import LongreachError
 from longreach.geometry import se2
 from longreach.io.bag_recorder import Recorder
 from longreach.view import bodies, overlay
+from longreach.view.control_channel import ControlChannel
 from longreach.view.experiments import EXPERIMENTS, Asked
 from longreach.view.frame import Frame
 from longreach.view.live_plots import LivePlots
-from longreach.view.page import add_legend
+from longreach.view.page import add_legend, text_html
 from longreach.view.preview import Preview
 from longreach.view.replay import sweep_points
 from longreach.view.robot_client import RobotClient
@@ -27,15 +28,11 @@ from longreach.view.trails import GrowingMap, Trail
 _FRAME = 0.05  # [s] between two pictures
 _RECENT = 64  # states, half a second: a scan comes later than the state of its time
 _GIZMO = 70.0  # [pixels]: a finger finds it
-_COASTS = 0.4  # a key that is held repeats faster than this [s]
 _SILENT = 0.25  # [s]
-_LASTING = 0.5  # a stop or a silence that is worth a banner [s]
+_LASTING = 0.5  # a stop that is worth a banner [s]
 _ALONE = 1.0  # after the last browser has gone the robot is released [s]
 _CLEAR = "Clear the stop"
-# Not W A S D Q E nor the arrows: with those viser moves the camera.
-_KEYS = {"I": (1, 0, 0), "K": (-1, 0, 0), "J": (0, 1, 0), "L": (0, -1, 0), "U": (0, 0, 1), "O": (0, 0, -1)}
 _BUTTONS = {"U": "⟲ U", "I": "↑ I", "O": "⟳ O", "J": "← J", "K": "↓ K", "L": "→ L"}  # as on a keyboard
-_TURN = 1.5  # how much faster it turns than it drives [rad/m]
 _SHOWN = ("estimate", "wheels", "truth", "scan", "map", "base driven", "tool driven", "base planned", "tool planned")
 
 
@@ -54,7 +51,7 @@ class Teleop:
         self.plan: ConfigurationTrajectory | None = None
         self.preview = Preview(self.scene, server, robot)
         self.map = GrowingMap(self.scene)
-        self._twist, self._until, self._started = np.zeros(3), 0.0, 0.0
+        self._started = 0.0
         self._dragging, self._busy, self._watched = False, "", 0.0  # when a browser was there last [s]
         self._recorder: Recorder | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
@@ -68,10 +65,12 @@ class Teleop:
 
     def _add_controls(self) -> None:
         gui, client = self._server.gui, self.client
-        gui.add_command("Stop", hotkey="space").on_trigger(lambda _: client.stop())
+        gate = self._server.gate
+        self.control = ControlChannel(client, gate.rejections, lambda: self._pace.value, self._tell)
+        gate.control = self.control.serve
         overlay.add_stop(self._server)
         self._notices = overlay.Notices(self._server)
-        self._status = gui.add_markdown("…")
+        self._status = gui.add_html("…")
         self._reset = gui.add_button(_CLEAR, disabled=True, hint="Nothing moves by itself afterwards.")
         self._reset.on_click(lambda _: self._try(client.reset))
         self._release = gui.add_button(
@@ -101,11 +100,7 @@ class Teleop:
             return
         with gui.add_folder("Drive (hold a key or a button)"):
             self._pace = gui.add_slider("Speed [m/s]", min=0.05, max=0.8, step=0.05, initial_value=0.3)
-            overlay.add_pad(self._server)
-            for key, label in _BUTTONS.items():
-                gui.add_button(label, color="gray").on_hold(lambda _, key=key: self.drive(key), callback_hz=10.0)
-        for key in _KEYS:
-            gui.add_command(f"Drive {key}", hotkey=key).on_trigger(lambda _, key=key: self.drive(key))
+            overlay.add_pad(self._server, _BUTTONS)
 
     def _add_plans(self) -> None:
         gui = self._server.gui
@@ -122,12 +117,6 @@ class Teleop:
                 self.experiment_button.on_click(lambda _: self._work(self._plan_experiment))
         self.run_button.on_click(lambda _: self.run())
         self.drop_button.on_click(lambda _: self.drop())
-
-    def drive(self, key: str) -> None:
-        """Drive as a key says, until it has not been pressed for a while."""
-        pace = self._pace.value
-        self._twist = pace * np.array(_KEYS[key]) * [1.0, 1.0, _TURN]
-        self._until = time.monotonic() + _COASTS
 
     def _dragged(self, event: Any) -> None:
         self._dragging = event.phase != "end"
@@ -216,18 +205,16 @@ class Teleop:
         self._notices.tell(title, body)
 
     def loop(self, until: threading.Event) -> None:
-        """Send what is driven and show what is said until the event is set."""
-        drove, count = False, 0
+        """Let the robot be driven and show what is said until the event is set."""
+        driver, count = threading.Thread(target=self.control.drive, args=(until,), daemon=True), 0
+        if self.client.robot.base.stop:
+            driver.start()
         while not until.wait(_FRAME):
-            driving = time.monotonic() < self._until
-            if driving:
-                twist = self._twist
-                self._command(lambda twist=twist: self.client.velocity(base=twist))
-            elif drove:
-                self._try(self.client.hold)
-            drove, count = driving, count + 1
+            count += 1
             self._release_when_alone()
             self.show(count)
+        if driver.ident is not None:
+            driver.join()
         self._unwatch()
 
     def show(self, count: int = 0) -> None:
@@ -269,11 +256,12 @@ class Teleop:
             bodies.place(self.gizmo, T)
 
     def _show_status(self, state: Any) -> None:
-        age, held = self.client.age, state.holder or "nobody"
-        word = f"⚠ silent for {age:.1f} s" if age > _SILENT else "**stopped**" if state.stop else state.goal
+        age, held = self.client.age, text_html(state.holder or "nobody")
+        word = f"⚠ silent for {age:.1f} s" if age > _SILENT else "<b>stopped</b>" if state.stop else state.goal
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
-        planning = f" · **{self._busy}**" if self._busy else ""
-        text = f"{word}{done}{planning} · held by {held}"
+        planning = f" · <b>{text_html(self._busy)}</b>" if self._busy else ""
+        words = f"{word}{done}{planning} · held by {held}"
+        text = f'<div style="font-size:.875rem;padding:.2em .6em;overflow-wrap:anywhere">{words}</div>'
         if self._status.content != text:
             self._status.content = text
         for button, disabled in ((self._reset, not state.latched), (self._release, not self.client.holds)):
@@ -281,10 +269,8 @@ class Teleop:
                 button.disabled = disabled
 
     def _banner(self, state: Any) -> tuple[str, str] | None:
-        """Return what everybody at the page must know: that the robot is stopped, or is not heard."""
-        age, since = self.client.age, state.stamp - state.stopped_at
-        if age > _LASTING:
-            return f"Nothing heard from the robot for {age:.0f} s", "The page shows it as it was then."
+        """Return what everybody at the page must know: that the robot is stopped, and what to do."""
+        since = state.stamp - state.stopped_at
         if not state.stop or (since < _LASTING and not state.latched):
             return None
         by = f" by {state.stopped_by}" if state.stopped_by else ""

@@ -4,54 +4,21 @@ A message is signed with the key of its sender's role. A watcher's may ask for a
 """
 
 import hmac
-import logging
-import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from longreach.live.protocol import topics
 from longreach.live.protocol.message_header import authentication, unpack_header
 from longreach.live.protocol.topics import Topic
 from longreach.live.protocol.transport import OPERATOR
+from longreach.rejection_counts import RejectionCounts
 
-_LOG = logging.getLogger("longreach.live")
 _NUMBERS = 1024  # that are remembered, of senders on topics
-_QUIET = 1.0  # between two lines in the log about the same reason [s]; each says how many there were
 
 
 class Rejected(Exception):
     """A message that is not accepted; its text is the reason, in a few words."""
-
-
-@dataclass
-class RejectionCounts:
-    """How many messages were refused, by reason; each is logged, those that come in a flood together."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    _logged: dict[str, tuple[float, int]] = field(default_factory=dict)
-
-    @property
-    def total(self) -> int:
-        """How many there were."""
-        return sum(self.counts.values())
-
-    def count(self, reason: str, topic: str) -> None:
-        """Count one more and log it."""
-        self.counts[reason] += 1
-        when, logged = self._logged.get(reason, (-_QUIET, 0))
-        now = time.monotonic()
-        if now - when >= _QUIET:
-            self._logged[reason] = now, self.counts[reason]
-            new = self.counts[reason] - logged
-            _LOG.warning("Refused %d on %s: %s (%d so far).", new, topic, reason, self.counts[reason])
-
-    def log_all(self) -> None:
-        """Log what has not been logged yet."""
-        for reason, total in self.counts.items():
-            if total > self._logged.get(reason, (0.0, 0))[1]:
-                _LOG.warning("Refused %d in all: %s.", total, reason)
 
 
 class Authentication:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from threading import Thread
 
 from longreach.live.protocol.transport import zenoh
-from longreach.live.server.authentication import RejectionCounts
+from longreach.rejection_counts import RejectionCounts
 
 _LEVELS = "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls=warn"
 _ACCEPTED = "New transport link accepted"

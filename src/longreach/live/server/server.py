@@ -19,10 +19,11 @@ from longreach.live.protocol.message_header import pack_header
 from longreach.live.protocol.topics import TYPES, Sensed, Topic
 from longreach.live.protocol.transport import OPERATOR, ROLE_KEYS, WATCHER, open_server, zenoh
 from longreach.live.server import publisher
-from longreach.live.server.authentication import Authentication, RejectionCounts
+from longreach.live.server.authentication import Authentication
 from longreach.live.server.listener import Listener
 from longreach.live.server.ros_graph import announced
 from longreach.measurement import JointState
+from longreach.rejection_counts import RejectionCounts
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Truth
 

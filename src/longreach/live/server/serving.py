@@ -23,8 +23,8 @@ from longreach.io.config import description_file, to_yaml
 from longreach.io.robots import load_robot
 from longreach.live.protocol.topics import Sensed
 from longreach.live.server import publisher
-from longreach.live.server.authentication import RejectionCounts
 from longreach.live.server.server import HEARTBEAT_TIMEOUT, Server, ServerConfig
+from longreach.rejection_counts import RejectionCounts
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.simulated import Simulated
 
