@@ -1,5 +1,6 @@
 """A robot that speaks ROS 1, behind the same `Hardware` as any other: sensors by topics, arm and base by commands."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from longreach.ros.gripper_action import closing_angle, goal_message, goal_of, p
 from longreach.ros.sensors import Role, Sensors
 from longreach.sim.places import Hand
 
+_LOG = logging.getLogger("longreach.ros")
 ArmInterface = Literal["velocity", "position", "trajectory"]
 _ROLES: tuple[Role, ...] = ("wheels", "lidar", "imu", "joints", "wrench")
 _CONTROLLERS: dict[ArmInterface, str] = {
@@ -74,7 +76,7 @@ class RosHardware:
     """
 
     def __init__(self, robot: MobileManipulator, arm: ArmInterface, controller: str, base: str) -> None:
-        self._hand, self._angle, self._closed = Hand.of(robot), closing_angle(robot), 0.0
+        self._hand, self._angle, self._gripped_at = Hand.of(robot), closing_angle(robot), 0.0
         self._capabilities = replace(capabilities_of(robot, gripper=self._angle > 0.0), arm_modes=_MODES[arm])
         self._interface: ArmInterface = arm
         self._sensors = Sensors(robot.description, _ROLES)
@@ -110,9 +112,11 @@ class RosHardware:
             (lambda: not scans or self._sensors.speaks("lidar"), f"sends scans on {self._sensors.topic('lidar')}"),
             (lambda: all(p.listeners for p in commanded), f"listens on {' and '.join(p.topic for p in commanded)}"),
         ):
+            _LOG.info("Waiting for a robot that %s, for %g s at most.", what, timeout)
             if not _within(timeout, ready):
                 self.close()
                 raise LiveError(f"No robot {what}; start it, or name its topics.")
+            _LOG.info("A robot %s.", what)
 
     def read(self) -> Readings:
         """Return everything that has arrived since the last call."""
@@ -130,7 +134,7 @@ class RosHardware:
             where = places(record.names, self._hand.names)
             if self._capabilities.gripper and where is not None and len(record.velocity) == len(record.names):
                 closed, speed = (float(self._hand.share @ x[where]) for x in (record.position, record.velocity))
-                self._closed = closed
+                self._gripped_at = closed
                 return GripperState(record.stamp, closed, speed)
         return None
 
@@ -153,7 +157,7 @@ class RosHardware:
             self._written = time.monotonic()
             self._send(command.base, command.arm, command.arm_mode)
             if command.gripper is not None and self._fingers is not None:
-                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle, self._closed)))
+                self._fingers.send(goal_message(wire.now(), *goal_of(command.gripper, self._angle, self._gripped_at)))
 
     def stop(self, reason: str) -> None:
         """Cancel whatever moves the arm, and let base and arm stand."""
