@@ -34,10 +34,10 @@ def until(condition, seconds=10.0, what="it"):
 
 
 @contextmanager
-def process(arguments, environment):
-    """A program that runs while the test does, and is interrupted then; it must end by itself."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    started = subprocess.Popen([str(argument) for argument in arguments], env=environment, **quiet)
+def process(arguments, environment, log=None):
+    """A program that runs while the test does, and is interrupted then; it must end by itself. log: of its errors."""
+    shown = {"stdout": subprocess.DEVNULL, "stderr": log or subprocess.DEVNULL}
+    started = subprocess.Popen([str(argument) for argument in arguments], env=environment, **shown)
     try:
         yield started
     finally:

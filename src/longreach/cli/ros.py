@@ -6,7 +6,7 @@ from typing import Any
 
 import typer
 
-from longreach.cli.progress import shown_progress
+from longreach.cli.progress import show_log, shown_progress
 
 app = typer.Typer(no_args_is_help=True, help="Nodes for ROS 1: the estimate alone, or a simulated robot.")
 # roslaunch gives a node's name and remappings as NAME:=VALUE, which rospy reads by itself.
@@ -43,6 +43,7 @@ def estimate(
         names = [name.strip() for name in sources.split(",") if name.strip()]
         given["estimate"] = {**settings.get("estimate", {}), "sources": names}
     chosen = validated(NodeConfig, {**settings, **given}, str(config or "the options"))
+    show_log()
     with shown_progress() as progress:
         warm_up(progress, "estimation")
     run(description, chosen)
@@ -70,6 +71,7 @@ def robot(
     loaded = load_robot(robot)
     loaded = replace(loaded, description=with_topics(loaded.description, topic))
     settings = read_config(config, RobotConfig) if config is not None else RobotConfig()
+    show_log()
     with shown_progress() as progress:
         warm_up(progress, "control", "physics" if physics else "kinematic")
     run(loaded, simulated("sim" if physics else "kinematic", loaded, world, seed), settings)

@@ -6,6 +6,7 @@ With absolute fixes `odometry/localized` says the same in the frame map, and tf 
 nothing that comes late can change it any more, so that a recording played in gives what it gives offline.
 """
 
+import logging
 import math
 import time
 
@@ -29,6 +30,7 @@ from longreach.ros.diagnostics import Diagnostics
 from longreach.ros.frames import Broadcaster, Mounts, planar
 from longreach.ros.sensors import Heard, Role, Sensors
 
+_LOG = logging.getLogger("longreach.ros")
 _SOURCES: tuple[Role, ...] = ("wheels", "lidar", "imu", "fixes")
 _BEFORE = 0.5  # [s] that tf is listened to before the estimate begins
 
@@ -59,6 +61,7 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
     without_mount = any(sensor is None or sensor.mount is None for sensor in (robot.lidar, robot.imu))
     estimator = Estimator(robot, config.estimate, Mounts() if without_mount else None)
     out, health = _Outputs(config), Diagnostics(sensors)
+    _LOG.info("The estimate of %s is ready.", robot.name)
     with wire.running() as goes_on:
         while goes_on():
             time.sleep(1.0 / config.rate)

@@ -1,5 +1,6 @@
 """A robot that speaks ROS 1, behind the same `Hardware` as any other: sensors by topics, arm and base by commands."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from longreach.ros.gripper_action import closing_angle, goal_message, goal_of, p
 from longreach.ros.sensors import Role, Sensors
 from longreach.sim.places import Hand
 
+_LOG = logging.getLogger("longreach.ros")
 ArmInterface = Literal["velocity", "position", "trajectory"]
 _ROLES: tuple[Role, ...] = ("wheels", "lidar", "imu", "joints", "wrench")
 _CONTROLLERS: dict[ArmInterface, str] = {
@@ -110,9 +112,11 @@ class RosHardware:
             (lambda: not scans or self._sensors.speaks("lidar"), f"sends scans on {self._sensors.topic('lidar')}"),
             (lambda: all(p.listeners for p in commanded), f"listens on {' and '.join(p.topic for p in commanded)}"),
         ):
+            _LOG.info("Waiting for a robot that %s, for %g s at most.", what, timeout)
             if not _within(timeout, ready):
                 self.close()
                 raise LiveError(f"No robot {what}; start it, or name its topics.")
+            _LOG.info("A robot %s.", what)
 
     def read(self) -> Readings:
         """Return everything that has arrived since the last call."""

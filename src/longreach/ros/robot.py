@@ -4,6 +4,7 @@ Nothing reaches its motors but through the safety gate. Its time runs with ROS' 
 too slow.
 """
 
+import logging
 import time
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,6 +28,7 @@ from longreach.ros.robot_topics import Topics
 from longreach.ros.trajectory_action import TrajectoryAction
 from longreach.sim.simulated import Simulated
 
+_LOG = logging.getLogger("longreach.ros")
 _BEHIND = 0.03  # [s] that a slow machine makes good; beyond that the robot's clock is set anew
 _EARLY = 0.002  # [s] that it may be ahead: less than any reading takes to arrive
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
@@ -64,6 +66,7 @@ def run(robot: MobileManipulator, simulation: Simulated, config: RobotConfig | N
     config = config or RobotConfig()
     wire.start_node("longreach_robot")
     node = _Node(robot, simulation, config)
+    _LOG.info("The simulated %s is ready.", robot.name)
     period, due = 1.0 / simulation.capabilities.arm_rate, time.monotonic()
     with wire.running() as goes_on:
         while goes_on():

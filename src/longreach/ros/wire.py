@@ -6,6 +6,7 @@ Debian's packages, whose folder is then put last, behind all that this environme
 """
 
 import atexit
+import logging
 import signal
 import sys
 import threading
@@ -25,6 +26,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from longreach.errors import LiveError, LongreachError
 from longreach.io.messages import Types
 
+_LOG = logging.getLogger("longreach.ros")
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 _QUEUE = 1000  # messages that wait for a slow listener; a scan takes 4 kB
 _FAREWELL = 0.05  # [s] for the last messages to leave
@@ -115,12 +117,14 @@ def start_node(name: str, wait: float = 10.0) -> None:
     ros, graph = rospy(), import_module("rosgraph")
     if ros.core.is_initialized():
         return
-    until = time.monotonic() + wait
+    master, until = graph.get_master_uri(), time.monotonic() + wait
+    _LOG.info("Waiting for the ROS master at %s, for %g s at most.", master, wait)
     while not graph.is_master_online():
         if time.monotonic() > until:
-            raise LiveError(f"No ROS master answers at {graph.get_master_uri()}; start roscore there.")
+            raise LiveError(f"No ROS master answers at {master}; start roscore there.")
         time.sleep(0.1)
     ros.init_node(name, disable_signals=True)
+    _LOG.info("The ROS master has answered; this is the node %s.", ros.get_name())
 
 
 @contextmanager
