@@ -41,6 +41,7 @@ def command(
     from longreach.cli.tokens import WATCHER_TOKEN, read_token
     from longreach.io.bag_writer import check_new_bag
     from longreach.io.robots import load_robot
+    from longreach.io.whole_files import check_place
     from longreach.live.protocol.transport import server_settings
     from longreach.live.realtime_settings import apply_realtime_settings
     from longreach.live.server.rejected_connections import counted
@@ -54,6 +55,7 @@ def command(
     place = _world(hardware, loaded, world, floor)
     if record is not None:
         check_new_bag(record)
+        check_place(record)
     show_log()  # what is wrong with the options has been said before anything that takes time
     with shown_progress() as progress:
         kind = hardware if hardware in SIMULATED else "kinematic"

@@ -26,10 +26,10 @@ def command(
         raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
     if export is None:
         _check_port(port)
-    elif not export.exists():
-        from longreach.io.whole_files import check_folder
+    else:
+        from longreach.io.whole_files import check_place
 
-        check_folder(export)
+        check_place(export)
     if recording is not None:
         _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:

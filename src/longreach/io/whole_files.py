@@ -60,9 +60,14 @@ def check_folder(folder: Path) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise LongreachError(f"{folder} is a file; give a folder for the results.")
-    nearest = next(parent for parent in folder.absolute().parents if parent.exists())
+    check_place(folder)
+
+
+def check_place(path: Path) -> None:
+    """Raise a LongreachError where nothing can be made beside a path, as far as that can be seen."""
+    nearest = next(parent for parent in path.absolute().parents if parent.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        raise LongreachError(f"{folder} cannot be written: nothing can be made in {nearest}.")
+        raise LongreachError(f"{path} cannot be written: nothing can be made in {nearest}.")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -320,7 +320,7 @@ class Client:
             before = subscriber.tick_status.get("progress")  # a simulation may be slow, a robot wait for its client
         state = self.state
         if state.plan > plan or state.progress < 1.0:
-            off = away(state) or "where it should have"
+            off = away(state) or "the robot is where it ends"
             raise LiveError(f"The plan ended early, {off}: {self._why('the robot was asked for something else')}")
 
     def move_to(
