@@ -78,7 +78,7 @@ class _Robot:
         self.body, self.session, self.records, self.script = KinematicRobot(thing, seed=seed), _Session(), [], script
         self.thing = thing
         newest = lambda: self.records[-1] if self.records else None  # noqa: E731
-        authentication = Authentication(None, b"", RejectionCounts())
+        authentication = Authentication({}, b"", RejectionCounts())
         self.listener = Listener(self.session, thing, authentication, newest, lambda: self.body.stamp, _CONFIG)
         self.delayed = None  # a list: what is sent is on its way until it is delivered
 

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from live_networks import Lossy, Network, until
 
+from longreach.live.protocol import transport
+
 # Drives the base and says so; lives until it is killed.
 _DRIVER = """
 import sys, time, numpy as np, longreach as lr

@@ -20,6 +20,7 @@ from longreach.errors import LiveError
 
 OPERATOR, WATCHER = "operator", "watcher"  # roles; and the common name of an operator's certificate
 ROLE_KEYS = "longreach/role_keys"  # there a server with certificates keeps what a role's commands are signed with
+_ROS_GRAPH = "@ros2_lv/**"  # which ** does not match
 PROTOCOL = "tcp"  # without certificates; the tests' lossy network takes udp
 _LARGEST = 1 << 25  # message that is put together from its parts [bytes]; everything of ours is half of that at most
 
@@ -135,13 +136,14 @@ def _access_control() -> dict[str, Any]:
     def allow(name: str, flow: str, messages: Sequence[str], *keys: str) -> dict[str, Any]:
         return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
 
+    everything = ("**", _ROS_GRAPH)
     asking = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
     saying = ("put", "delete", "declare_subscriber", "declare_queryable", "query", "liveliness_token")
     rules = [
-        allow("listen and ask", "ingress", asking, "**"),
+        allow("listen and ask", "ingress", asking, *everything),
         allow("command", "ingress", ("put",), *(topic.key for topic in topics.STREAMS)),
-        allow("hear the server", "egress", saying, "**"),
-        allow("get answers", "egress", ("reply",), "0/**", f"{ROLE_KEYS}/{WATCHER}"),
+        allow("hear the server", "egress", saying, *everything),
+        allow("get answers", "egress", ("reply",), "0/**", _ROS_GRAPH, f"{ROLE_KEYS}/{WATCHER}"),
         allow("get the key", "egress", ("reply",), f"{ROLE_KEYS}/{OPERATOR}"),
     ]
     *general, operators = [rule["id"] for rule in rules]
