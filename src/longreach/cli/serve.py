@@ -30,6 +30,7 @@ def command(
     floor: str | None = typer.Option(None, help="Of sim: good, worn, wet, slippery, or a coefficient of friction."),
     seed: int = typer.Option(0, min=0, help="Seed of everything random in a simulation."),
     scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
+    obstacles: bool = typer.Option(True, help="Whether the base minds what its laser sees."),
     duration: float | None = typer.Option(
         None, min=0.0, help="End after so many seconds; else when it is interrupted."
     ),
@@ -68,7 +69,7 @@ def command(
     with counted(rejections):
         rhythm = serve(
             body, wait_until, loaded, described(robot), ServerConfig(address, token, certificates, watcher_token),
-            _ended(duration), record=record, scans=scans, rejections=rejections,
+            _ended(duration), record=record, scans=scans, obstacles=obstacles, rejections=rejections,
             ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)

@@ -45,5 +45,6 @@ def line(client: Client) -> str:
     return (
         f"{s.stamp:8.2f} s  base {x:7.3f} {y:7.3f} m {np.degrees(theta):7.2f}° (±{sigma:.0f} mm)  "
         f"{s.goal} {100 * s.progress:3.0f} %  loop {1e3 * s.loop_time:.1f} ms  way {delay:.2f} ms  "
-        f"clock {client.offset:+.3f} s  lost {client.lost}  {s.holder and f'held by {s.holder}'}  {s.stop}"
+        f"clock {client.offset:+.3f} s  lost {client.lost}  {s.holder and f'held by {s.holder}'}  {s.stop or s.limited}"
+        f"{'' if s.minds_obstacles or not client.robot.base.stop else '  obstacles not minded'}"
     ).rstrip()

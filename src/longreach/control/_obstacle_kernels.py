@@ -70,8 +70,8 @@ def _still_there(point, laser, ranges, first, increment, most):
 def remember(points, count, laser, pose, ranges, first, increment, most, far, rectangle, capsules, out):
     """Fill out (n, 2) with what a sweep sees, and then with those of points (count of them) that it does not see anew.
 
-    Return how many there are. laser, pose (3,): of the laser and of the base in the points' frame when it was taken. ranges: 0 where nothing came
-    back; most, far: how far the laser sees, and how far from the base points are kept [m].
+    Return how many there are. laser, pose (3,): of the laser and of the base in the points' frame when it was taken.
+    ranges: 0 where nothing came back; most, far: how far the laser sees, and how far from the base points are kept [m].
     """
     kept, x_before, y_before = 0, math.inf, math.inf
     for i in range(len(ranges)):

@@ -88,7 +88,7 @@ class _Node:
         self._offset = wire.now() - simulation.stamp  # from its clock to ROS' [s]
         capabilities = simulation.capabilities
         self._names = capabilities.arm_names
-        self._gate: SafetyState = safety.init(limits_of(capabilities, config.safety), simulation.stamp)
+        self._gate: SafetyState = safety.init(limits_of(capabilities, config.safety), simulation.stamp, robot=robot)
         self._commands = Commands(config.base, len(self._names))
         self._action = TrajectoryAction(config.controller, capabilities, config.trajectory)
         angle = closing_angle(robot)

@@ -41,7 +41,9 @@ def described(robot: str) -> tuple[str, str]:
     return to_yaml(description), urdf
 
 
-def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = True) -> TrackerConfig:
+def tracker_config(
+    hardware: Hardware, robot: MobileManipulator, scans: bool = True, obstacles: bool = True
+) -> TrackerConfig:
     """Return the loop's settings: whoever holds the robot is watched, and so are the sensors that it has."""
     stale = {"joints": 0.1, "wheels": 0.2, "scans": 0.25}
     sources: tuple[str, ...] = ("wheels", "lidar", "imu")
@@ -53,7 +55,9 @@ def tracker_config(hardware: Hardware, robot: MobileManipulator, scans: bool = T
         stale.pop("scans", None)
     return TrackerConfig(
         estimate=EstimateConfig.model_validate({"sources": sources}),
-        safety=SafetyConfig.model_validate({"heartbeat_timeout": HEARTBEAT_TIMEOUT, "stale_after": stale}),
+        safety=SafetyConfig.model_validate(
+            {"heartbeat_timeout": HEARTBEAT_TIMEOUT, "stale_after": stale, "obstacles": obstacles and scans}
+        ),
     )
 
 
@@ -88,6 +92,7 @@ def serve(
     *,
     record: Path | None = None,
     scans: bool = True,
+    obstacles: bool = True,
     rejections: RejectionCounts | None = None,
     ready: Callable[[Server], None] = lambda server: None,
 ) -> Ticker:
@@ -105,7 +110,7 @@ def serve(
     if wait_until is None:
         assert isinstance(hardware, Simulated)
         wait_until = paced = Paced(hardware)
-    settings = tracker_config(hardware, robot, scans)
+    settings = tracker_config(hardware, robot, scans, obstacles)
     with nullcontext() if record is None else Recorder(record) as recorder:
         server = Server(robot, description, config, settings, truth, recorder, rejections)
         try:
