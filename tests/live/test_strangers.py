@@ -99,10 +99,10 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
     }
     publishers = {
         topic: session.declare_publisher(topic.key, congestion_control=zenoh.CongestionControl.BLOCK)
-        for topic in topics.STREAMS
+        for topic in topics.COMMANDS
     }
     for i in range(10_000):
-        topic = topics.STREAMS[i % len(topics.STREAMS)]
+        topic = topics.COMMANDS[i % len(topics.COMMANDS)]
         if topic in valid and i % 2:  # something that was right, with a few bytes changed
             payload = np.frombuffer(topic.pack(valid[topic]), dtype=np.uint8).copy()
             payload[rng.integers(len(payload), size=3)] = rng.integers(256, size=3)
@@ -111,10 +111,10 @@ def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_coun
             payload = rng.bytes(int(rng.integers(0, 300)))
         header = rng.bytes(33) if i % 3 == 0 else pack_header(i, b"fuzz" * 4)
         publishers[topic].put(payload, attachment=header)
-    for topic in topics.STREAMS:
+    for topic in topics.COMMANDS:
         publishers[topic].put(bytes(topic.limit + 1), attachment=pack_header(0, b"fuzz" * 4))
-    until(lambda: client.state.refused >= before + 10_000 + len(topics.STREAMS), 20.0)
-    assert before + 10_000 + len(topics.STREAMS) <= client.state.refused < before + 10_100  # others may err, too
+    until(lambda: client.state.refused >= before + 10_000 + len(topics.COMMANDS), 20.0)
+    assert before + 10_000 + len(topics.COMMANDS) <= client.state.refused < before + 10_100  # others may err, too
     assert np.allclose(client.state.q, q, atol=2e-3)
     assert client.state.stop == ""
     assert client.state.holder == ""

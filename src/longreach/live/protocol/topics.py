@@ -63,7 +63,7 @@ JOINTS = Topic("/arm/command", "sensor_msgs/msg/JointState", 16384)
 TOOL = Topic("/tool/goal", "geometry_msgs/msg/PoseStamped")
 GRIPPER = Topic("/gripper/command", "sensor_msgs/msg/JointState")
 HEARTBEAT = Topic("/longreach/heartbeat", "std_msgs/msg/Header")
-STREAMS = (TWIST, JOINTS, TOOL, GRIPPER, HEARTBEAT)
+COMMANDS = (TWIST, JOINTS, TOOL, GRIPPER, HEARTBEAT)
 # What clients ask for, and get an answer to.
 ORDER = Topic("/longreach/order", "std_msgs/msg/String")
 EXECUTE = Topic("/longreach/execute", "trajectory_msgs/msg/JointTrajectory", 1 << 24)

@@ -141,7 +141,7 @@ def _access_control() -> dict[str, Any]:
     saying = ("put", "delete", "declare_subscriber", "declare_queryable", "query", "liveliness_token")
     rules = [
         allow("listen and ask", "ingress", asking, *everything),
-        allow("command", "ingress", ("put",), *(topic.key for topic in topics.STREAMS)),
+        allow("command", "ingress", ("put",), *(topic.key for topic in topics.COMMANDS)),
         allow("hear the server", "egress", saying, *everything),
         allow("get answers", "egress", ("reply",), "0/**", _ROS_GRAPH, f"{ROLE_KEYS}/{WATCHER}"),
         allow("get the key", "egress", ("reply",), f"{ROLE_KEYS}/{OPERATOR}"),
