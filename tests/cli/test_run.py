@@ -10,7 +10,8 @@ import pytest
 
 from longreach.app.experiments import Experiment
 from longreach.app.localization import LocalizationConfig
-from longreach.app.seeds import spread
+from longreach.app.seeds import first_run, spread
+from longreach.errors import EstimationError
 from longreach.evaluation.tables import failures, metric, outcome
 
 pytest.importorskip("mujoco")
@@ -117,6 +118,57 @@ def test_of_many_runs_it_is_said_how_many_did_not_reach_their_end_and_why():
     }
     assert failures(found) == ["closed did not reach its end: 2 of 4 runs. Seed 5: A wall. Seed 7: A desk."]
     assert failures(spread({seed: {"closed": {"reached_end": outcome("")}} for seed in (1, 2)})) == []
+
+
+# Seeds 0 and 2 raise errors: one of ours, and one that nobody expects.
+_TROUBLE = """
+import sys
+from joblib import parallel_config
+from longreach.app import localization
+from longreach.cli.main import main
+from longreach.errors import EstimationError
+
+localize = localization.localize
+
+def with_trouble(config, seed, *more):
+    if seed == 0:
+        raise EstimationError("The scans are empty.")
+    if seed == 2:
+        raise ValueError("not a number")
+    return localize(config, seed, *more)
+
+localization.localize = with_trouble
+with parallel_config("threading"):  # whose workers see what was replaced
+    main(sys.argv[1:])
+"""
+
+
+@pytest.mark.long
+def test_seeds_that_raise_an_error_are_named_and_the_others_results_are_written(tmp_path):
+    command = [sys.executable, "-c", _TROUBLE, "run", "localization", "--duration", "1", "--out", str(tmp_path / "out")]
+    ended = subprocess.run([*command, "--seeds", "4"], capture_output=True, text=True)
+    assert ended.returncode == 1, ended.stderr
+    said = "2 of 4 runs. Seed 0: The scans are empty. Seed 2: ValueError: not a number."
+    assert ended.stdout.splitlines()[0] == f"fused did not reach its end: {said}"
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["fused"]["reached_end"] == {"value": 0.5, "unit": "", "reason": said}
+    assert metrics["fused"]["ate_rmse"]["value"] > 0.0
+    page = unescape((tmp_path / "out" / "report.html").read_text())
+    assert "over 2 of 4 seeds; figures show seed 1." in page
+    alone = subprocess.run([*command, "--seeds", "1"], capture_output=True, text=True)
+    assert alone.returncode == 2
+    assert alone.stderr.strip() == "longreach: The scans are empty."
+
+
+def test_the_first_seed_that_runs_is_shown_and_an_error_of_all_is_the_first_of_them():
+    def run(seed):
+        if seed < 6:
+            raise EstimationError(f"Seed {seed} is bad.")
+        return seed
+
+    assert first_run(run, range(4, 9)) == (6, {4: "Seed 4 is bad.", 5: "Seed 5 is bad."})
+    with pytest.raises(EstimationError, match=r"Seed 4 is bad\."):
+        first_run(run, range(4, 6))
 
 
 def test_many_runs_give_means_and_spreads():

@@ -138,6 +138,35 @@ def test_questions_that_are_none_are_answered_with_a_refusal(served, to, rng):
     session.close()
 
 
+def test_names_and_reasons_from_the_network_are_one_short_line_in_log_and_status(served, to):
+    forged = "2026-01-01 00:00:00 The robot has passed its inspection."
+    nasty = f"mallory\n{forged}\r\x1b[2J\x00\u202e\u2028{'x' * 100}"
+    client = to(served, name=nasty)
+    client.take()
+    until(lambda: client.state.holder)
+    assert client.state.holder == f"mallory {forged}"[:59] + "…"
+    client.stop(nasty)
+    until(lambda: client.state.stop)
+    assert client.state.stop.startswith(f"mallory {forged} [2J xxx")
+    for text in (client.state.holder, client.state.stop, client.state.stopped_by):
+        assert text.isprintable()
+    assert len(client.state.stop) <= 200
+    client.reset()
+    client.release()
+    assert forged not in served.output.splitlines()
+    assert "\x1b" not in served.output
+
+
+def test_a_client_without_a_name_is_somebody_and_a_stop_without_a_reason_has_one(served, to):
+    client = to(served, name="\n\t")
+    client.take()
+    until(lambda: client.state.holder == "somebody")
+    client.stop("\x07")
+    until(lambda: client.state.stop == "A client says stop.")
+    client.reset()
+    client.release()
+
+
 def test_with_certificates_only_who_has_one_of_ours_comes_in(certificates):
     address = f"127.0.0.1:{free_port()}"
     server = open_server(address, None, certificates["robot"])

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -161,6 +162,33 @@ def test_5_percent_of_lost_messages_do_not_stop_the_robot(lossy_server, to, monk
     assert client.lost > 0
     assert watched.states[-1].velocity[0] == pytest.approx(0.2, abs=0.05)
     assert not [s for s in watched.states if s.stop]
+
+
+def test_the_states_of_a_client_end_when_it_is_closed_or_the_robot_is_gone_and_go_on_after_a_short_silence(serve, to):
+    served = serve().ready()
+    heard, threads = {"closed": 0.0, "stays": 0.0}, {}
+
+    def watch(name, client):
+        for state in client:
+            heard[name] = state.stamp
+
+    clients = {name: to(served, name=name) for name in heard}
+    for name, client in clients.items():
+        threads[name] = threading.Thread(target=watch, args=(name, client), daemon=True)
+        threads[name].start()
+    until(lambda: all(heard.values()))
+    clients["closed"].close()
+    threads["closed"].join(2.0)
+    assert not threads["closed"].is_alive()
+    assert list(clients["closed"]) == []
+    served.process.send_signal(signal.SIGSTOP)
+    time.sleep(1.5)
+    before = heard["stays"]
+    served.process.send_signal(signal.SIGCONT)
+    until(lambda: heard["stays"] > before)
+    served.process.kill()
+    threads["stays"].join(10.0)
+    assert not threads["stays"].is_alive()
 
 
 def test_told_to_end_the_server_leaves_a_whole_recording_whatever_has_come_before(served, to):

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.app.execution import Execution, ExecutionConfig, execute, loop_metrics
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
 from longreach.app.results import write_results
-from longreach.app.seeds import more_seeds
+from longreach.app.seeds import first_run, more_seeds
 from longreach.app.show import Show, show
 from longreach.app.tracker import TrackerConfig
 from longreach.configuration import ConfigurationTrajectory
@@ -135,15 +135,19 @@ def _job(config: DualTrajectoryConfig, seed: int) -> Metrics:
 def run_dual_trajectory(config: DualTrajectoryConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    with show(config.video, config.view) as shown:
-        runs = execute_both(config, config.seed, tell, shown)
-    metrics: Metrics = metrics_of(runs)
+
+    def shown_runs(seed: int) -> tuple[Mapping[str, Execution], Metrics, Show]:
+        with show(config.video, config.view) as shown:
+            runs = execute_both(config, seed, tell, shown)
+        return runs, metrics_of(runs), shown
+
+    seeds = range(config.seed, config.seed + config.seeds)
+    (runs, metrics, shown), failed = first_run(shown_runs, seeds)
     remarks = [verdict(metrics)]
     remarks += [report.reason for report in runs["closed"].plan.reports if report.unmet.any()]
     remarks += runs["closed"].estimate.remarks
     if config.seeds > 1:
-        seeds = range(config.seed, config.seed + config.seeds)
-        metrics, remark = more_seeds(partial(_job, config), metrics, seeds, tell)
+        metrics, remark = more_seeds(partial(_job, config), metrics, failed, seeds, tell)
         remarks.append(remark)
     introduction = (
         f"The {config.robot}'s tool draws a straight line of {config.length:g} m while its base goes along a sinusoid "

@@ -12,7 +12,7 @@ from longreach.app.estimate import Estimate, estimate
 from longreach.app.evaluate import Evaluation, Metrics, evaluate
 from longreach.app.outputs import comparison_figures, estimate_figures, write_trajectories
 from longreach.app.results import write_results
-from longreach.app.seeds import more_seeds
+from longreach.app.seeds import first_run, more_seeds
 from longreach.app.show import Show, show
 from longreach.evaluation.tables import REACHED_END, outcome
 from longreach.io.bag_writer import write_bag
@@ -102,13 +102,17 @@ def localize(
 def run_localization(config: LocalizationConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    with show(config.video, config.view) as shown:
-        first = localize(config, config.seed, tell, shown if config.video or config.view else None)
+
+    def shown_run(seed: int) -> tuple[Localization, Show]:
+        with show(config.video, config.view) as shown:
+            return localize(config, seed, tell, shown if config.video or config.view else None), shown
+
+    seeds = range(config.seed, config.seed + config.seeds)
+    (first, shown), failed = first_run(shown_run, seeds)
     metrics = first.metrics
     remarks = list(first.evaluation.remarks)
     if config.seeds > 1:
-        seeds = range(config.seed, config.seed + config.seeds)
-        metrics, remark = more_seeds(partial(_metrics, config), _compared(metrics), seeds, tell)
+        metrics, remark = more_seeds(partial(_metrics, config), _compared(metrics), failed, seeds, tell)
         remarks.append(remark)
     _write(config, first, metrics, remarks, out, tell, shown)
     return metrics

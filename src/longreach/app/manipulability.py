@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from longreach.app.dual_trajectory import PACE, write_executions
 from longreach.app.execution import Execution, ExecutionConfig, execute, loop_metrics
 from longreach.app.results import write_results
-from longreach.app.seeds import more_seeds
+from longreach.app.seeds import first_run, more_seeds
 from longreach.app.show import Show, show
 from longreach.evaluation import execution_figures, planning_figures
 from longreach.evaluation.execution import tool_metrics
@@ -136,13 +136,17 @@ def _job(config: ManipulabilityConfig, seed: int) -> Metrics:
 def run_manipulability(config: ManipulabilityConfig, out: Path, progress: Progress | None = None) -> Metrics:
     """Run the experiment once, or with many seeds at once on all cores, and write its folder."""
     tell = progress or (lambda stage, fraction: None)
-    with show(config.video, config.view) as shown:
-        runs = execute_both(config, config.seed, tell, shown)
-    metrics: Metrics = metrics_of(config, runs)
+
+    def shown_runs(seed: int) -> tuple[Mapping[str, Execution], Metrics, Show]:
+        with show(config.video, config.view) as shown:
+            runs = execute_both(config, seed, tell, shown)
+        return runs, metrics_of(config, runs), shown
+
+    seeds = range(config.seed, config.seed + config.seeds)
+    (runs, metrics, shown), failed = first_run(shown_runs, seeds)
     remarks = []
     if config.seeds > 1:
-        seeds = range(config.seed, config.seed + config.seeds)
-        metrics, remark = more_seeds(partial(_job, config), metrics, seeds, tell)
+        metrics, remark = more_seeds(partial(_job, config), metrics, failed, seeds, tell)
         remarks.append(remark)
     introduction = (
         f"The {config.robot} executes two plans of the dual trajectory: one by task priority, and one by sequential "

@@ -36,6 +36,7 @@ _PATIENCE = 5.0  # with a plan that does not get on [s]
 _CONFIRMED = 1.0  # for how long we wait until the robot says that it has done what it was asked for [s]
 _SETTLING = 1.0  # for how long it may take, after the end of a plan, until the robot is there [s]
 _SILENT = 1.0  # who was not heard for so long is to be named [s]
+_GONE = 5.0  # who was not heard for so long has gone, as for `connect` [s]
 # So near is there, by the robot's own estimate: what its side calls arrived (5 mm, 5 mrad), the base's estimate being
 # noisy by as much; and what the tool, at the end of all that, is to be off at most [rad], [m].
 _JOINT, _BASE, _TURN = 0.005, 0.01, np.radians(0.5)
@@ -179,15 +180,16 @@ class Client:
         return recorder
 
     def __iter__(self) -> Iterator[LiveState]:
-        """Yield each new state; one that comes while the last is still looked at is passed over for a newer one."""
-        seen = None
-        while not self._connection.session.is_closed():
-            state = self._subscriber.wait(
-                lambda seen=seen: self._subscriber.state if self._subscriber.state is not seen else None, 1.0
-            )
-            if state is not None:
-                seen = state
-                yield state
+        """Yield each new state; one that comes while the last is still looked at is passed over for a newer one.
+
+        It ends where this client is closed, or no state has come for 5 s: then the robot has gone.
+        """
+        subscriber, seen = self._subscriber, None
+        while subscriber.wait(lambda seen=seen: subscriber.closed or subscriber.state is not seen, _GONE):
+            if subscriber.closed:
+                return
+            seen = self.state
+            yield seen
 
     def lookup(self, target: str, source: str, stamp: float | None = None) -> Float[np.ndarray, "4 4"]:
         """Return T_target_source at a time of the robot's clock [s] in the last 10 s, else (None) the newest.
@@ -403,10 +405,10 @@ class Client:
             recorder.close()
         if self._subscriber.frames in connected:
             connected.remove(self._subscriber.frames)
+        self._subscriber.close()
         with suppress(LiveError):
             self.release()
         self._connection.close()
-        self._subscriber.close()
 
     def __enter__(self) -> "Client":
         """Return the client."""

@@ -65,7 +65,7 @@ class Subscriber:
         self.plan: ConfigurationTrajectory | None = None
         self.status: dict[str, str] = {}
         self.heard = 0.0  # when the newest state came, by time.monotonic() [s]
-        self.lost, self.malformed = 0, 0
+        self.lost, self.malformed, self.closed = 0, 0, False
         self.delays: deque[float] = deque(maxlen=10_000)
         self.changed = Condition()
         self.on_state: list[Callable[[LiveState], None]] = []
@@ -162,8 +162,11 @@ class Subscriber:
         self._takes[topic](payload)
 
     def close(self) -> None:
-        """Hear no more."""
+        """Hear no more; who waits for something need not any longer."""
         self._waiting.put(None)
+        with self.changed:
+            self.closed = True
+            self.changed.notify_all()
 
     def _take_status(self, payload: bytes) -> None:
         one = topics.STATUS.unpack(payload).status[0]

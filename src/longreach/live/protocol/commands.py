@@ -25,6 +25,12 @@ _BEYOND = 0.01  # a joint's limit: a position that was read and is sent back is 
 _GRIPPER = SafetyConfig()
 
 
+def one_line(text: str, longest: int) -> str:
+    """Return a name or reason from the network as it may stand in a log: one line, without control characters."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= longest else f"{line[: longest - 1]}…"
+
+
 def numbers(values: Any, what: str, *shapes: tuple[int, ...]) -> np.ndarray:
     """Return values as an array of finite numbers of one of the shapes.
 

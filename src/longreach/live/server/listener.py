@@ -23,6 +23,7 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 _LOG = logging.getLogger("longreach.live")
 _FORGOTTEN = 2.0  # a client that is gone for so long holds the robot no more [s]; ours
 _STREAM_AGE, _ANSWER_AGE = 0.25, 2.0  # beyond which a command, or a question, does nothing [s]; the driver's, ours
+_NAME, _REASON = 60, 200  # characters of a client's name, and of its reason for a stop; ours
 _OURS = 0.05  # of the time between two ticks that counts as silence [s]: beyond it the loop itself was late; ours
 
 
@@ -164,16 +165,16 @@ class Listener:
 
     def _order(self, sender: bytes, message: Any) -> str:
         """Do what one word asks for; the rest of the line is a name or a reason."""
-        word, _, rest = message.data[:200].partition(" ")
+        word, _, rest = message.data.partition(" ")
         if word == "stop":
             with self._lock:
-                self.stopped = rest or "A client says stop."
+                self.stopped = commands.one_line(rest, _REASON) or "A client says stop."
                 holds = sender == self.holder.sender
                 self.stopped_by = self.holder.name if holds else "a client that does not hold the robot"
             self._set(goal=Hold(), stop=self.stopped)
             return ""
         if word == "take":
-            return self._give(sender, rest or "somebody")
+            return self._give(sender, commands.one_line(rest, _NAME) or "somebody")
         self._check_holder(sender)
         if word == "release":
             self._set(goal=Hold())
