@@ -138,23 +138,28 @@ def _space() -> None:
 
 def _control() -> None:
     from longreach.configuration import ConfigurationTrajectory
-    from longreach.control import base_velocity, interpolation, safety, safety_checks, safety_config
+    from longreach.control import base_velocity, interpolation, obstacles, safety, safety_checks, safety_config
     from longreach.control.hardware import Command
     from longreach.io.robots import load_robot
+    from longreach.sim.kinematic_config import KinematicConfig
     from longreach.sim.kinematic_robot import KinematicRobot
 
     thing = load_robot("thing")
-    robot = KinematicRobot(thing)
-    gate = safety.init(safety_config.limits_of(robot.capabilities), 0.0, thing.home[thing.arm])
+    robot = KinematicRobot(thing, config=KinematicConfig(present=("joints", "lidar")))
+    gate = safety.init(safety_config.limits_of(robot.capabilities), 0.0, thing.home[thing.arm], thing)
     base = base_velocity.init(base_velocity.BaseVelocityConfig(), 0.0)
+    ahead = np.array([0.5, 0.0, 0.0])
     two = ConfigurationTrajectory(np.array([0.0, 1.0]), np.stack([thing.home, thing.home]))
     for mode in ("velocity", "position", "velocity"):
-        robot.advance(0.02)
+        robot.advance(0.06)
         (q, v, _), now = interpolation.sample(two, robot.stamp), robot.stamp
         base, twist = base_velocity.step(base, np.zeros(3), now)
         arm = q[thing.arm] if mode == "position" else v[thing.arm]
         gate, sent = safety.step(gate, Command(now, arm, mode, twist), robot.read(), safety_checks.Health((), now), now)
         robot.write(sent)
+    assert gate.obstacles is not None
+    obstacles.limited(gate.obstacles, ahead, np.ones(3))
+    obstacles.met_by(gate.obstacles, two)
 
 
 def _sim() -> None:

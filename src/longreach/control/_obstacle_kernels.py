@@ -14,6 +14,7 @@ from longreach.kernels import kernel
 _SEEN_THROUGH = 0.1  # what lies nearer than a beam's end by this [m] is not there any more; ten times a range's noise
 _OURS = 0.05  # so deep within the outline [m] lie the robot's own parts
 _APART = 0.03  # between two points that are kept of a sweep [m]
+_CLOSER = 1e-4  # that something within the margin may come closer [m]: nothing but rounding
 _STEP = 0.02  # of the outline's way between two looks [m]
 
 
@@ -57,6 +58,8 @@ def _still_there(point, laser, ranges, first, increment, most):
     beam = round(turn - whole * math.floor((turn + 0.5) / whole))
     if beam < 0 or beam >= len(ranges) or r > most:
         return True
+    if abs(ranges[beam] - r) < _SEEN_THROUGH:
+        return False  # it is in the new sweep
     hidden = False
     for i in range(max(beam - 1, 0), min(beam + 2, len(ranges))):  # a beam may be lost
         hidden = hidden or 0.0 < ranges[i] < r - _SEEN_THROUGH
@@ -64,31 +67,29 @@ def _still_there(point, laser, ranges, first, increment, most):
 
 
 @kernel
-def remember(points, count, laser, pose, ranges, first, increment, most, far, rectangle, capsules):
-    """Take a sweep into points (n, 2), of which `count` are known; return how many are known then.
+def remember(points, count, laser, pose, ranges, first, increment, most, far, rectangle, capsules, out):
+    """Fill out (n, 2) with what a sweep sees, and then with those of points (count of them) that it does not see anew.
 
-    laser, pose (3,): of the laser and of the base in the points' frame when it was taken. ranges: 0 where nothing came
+    Return how many there are. laser, pose (3,): of the laser and of the base in the points' frame when it was taken. ranges: 0 where nothing came
     back; most, far: how far the laser sees, and how far from the base points are kept [m].
     """
-    kept = 0
-    for i in range(count):
-        away = math.hypot(points[i, 0] - pose[0], points[i, 1] - pose[1])
-        if away < far and _still_there(points[i], laser, ranges, first, increment, most):
-            points[kept, 0], points[kept, 1] = points[i, 0], points[i, 1]
-            kept += 1
-    x_before, y_before = math.inf, math.inf
+    kept, x_before, y_before = 0, math.inf, math.inf
     for i in range(len(ranges)):
         r = ranges[i]
         angle = laser[2] + first + i * increment
         x, y = laser[0] + r * math.cos(angle), laser[1] + r * math.sin(angle)
         if r <= 0.0 or math.hypot(x - x_before, y - y_before) < _APART or math.hypot(x - pose[0], y - pose[1]) > far:
             continue
-        u, v = _seen_from(np.array((x, y)), pose)
-        if kept == len(points) or _distance(u, v, rectangle, capsules) < -_OURS:
+        if kept == len(out) or distance_from(np.array((x, y)), pose, rectangle, capsules) < -_OURS:
             continue
-        points[kept, 0], points[kept, 1] = x, y
+        out[kept, 0], out[kept, 1] = x, y
         x_before, y_before = x, y
         kept += 1
+    for i in range(count):
+        away = math.hypot(points[i, 0] - pose[0], points[i, 1] - pose[1])
+        if kept < len(out) and away < far and _still_there(points[i], laser, ranges, first, increment, most):
+            out[kept, 0], out[kept, 1] = points[i, 0], points[i, 1]
+            kept += 1
     return kept
 
 
@@ -113,15 +114,13 @@ def free_way(points, count, pose, rectangle, capsules, twist, horizon, margin):
         if r > reach + margin + fastest * horizon:
             continue
         distance = _distance(x, y, rectangle, capsules)
-        closest = min(distance - 1e-3, margin)
+        closest = min(distance - _CLOSER, margin)
         if distance < -_OURS:
             continue
-        t = 0.0
-        while True:
+        t, before = 0.0, 0.0
+        while t < free:
             before = t
-            t += max(distance - closest, _STEP) / fastest
-            if t >= free:
-                break
+            t = min(t + max(distance - closest, _STEP) / fastest, free)
             px, py, turned = se2_exp(twist[0] * t, twist[1] * t, w * t)
             c, s = math.cos(turned), math.sin(turned)
             dx, dy = x - px, y - py

@@ -87,11 +87,11 @@ def step(
     for scan in scans[-1:]:
         age = min(max(now - scan.stamp - 0.5 * len(scan.ranges) * scan.time_increment, 0.0), 1.0)
         then = se2.compose(pose, se2.exp(-age * twist))
-        points = points.copy()
+        known, points = points, np.empty_like(points)
         count = kernels.remember(
-            points, count, se2.compose(then, state.laser), then, scan.returns,
-            state.sense * scan.angle_min, state.sense * scan.angle_increment, min(scan.range_max, _FAR), _FAR,
-            state.footprint.rectangle, state.capsules,
+            known, count, se2.compose(then, state.laser), then, scan.returns,
+            state.sense * scan.angle_min, state.sense * scan.angle_increment, scan.range_max, _FAR,
+            state.footprint.rectangle, state.capsules, points,
         )  # fmt: skip
     return replace(state, points=points, count=count, pose=np.array(pose), part=1.0, nearest=None)
 
