@@ -34,8 +34,8 @@ _STOP = f"""
 #longreach-stop.longreach-off {{ background: #868e96; text-decoration: line-through; }}
 #longreach-banner {{ display: none; position: fixed; z-index: 100000; left: calc(8.5rem + 32px); bottom: 16px;
   box-sizing: border-box; width: min(40rem, max(20rem, 100vw - 8.5rem - 26em)); padding: 1rem 1.25rem;
-  border: 3px solid #fff; border-radius: 12px; background: #1c1e21; color: #fff; font: 400 1.1rem/1.35 system-ui, sans-serif;
-  box-shadow: 0 2px 10px rgb(0 0 0 / .35); pointer-events: none; }}
+  border: 3px solid #fff; border-radius: 12px; background: #1c1e21; color: #fff; pointer-events: none;
+  font: 400 1.1rem/1.35 system-ui, sans-serif; box-shadow: 0 2px 10px rgb(0 0 0 / .35); }}
 #longreach-banner b {{ display: block; font-size: 1.5rem; margin-bottom: .2rem; }}
 #longreach-stop:hover {{ filter: brightness(1.1); }}
 #longreach-stop:active {{ filter: brightness(.75); }}
