@@ -104,6 +104,7 @@ def test_stop_is_on_the_screen_whatever_the_panel_does(page, server, pretender, 
     assert page.errors == []
 
 
+NO_CONTACT = "document.getElementById('longreach-banner')"
 BANNER = "[...document.querySelectorAll('.mantine-Notification-root')].find(b => b.innerText.startsWith('Stopped'))"
 
 
@@ -117,6 +118,8 @@ def test_a_stopped_robot_looks_stopped_and_nothing_in_the_panel_moves(
     record = f"[{BUTTONS}].find(b => b.innerText == 'Record')"
     clear = f"[{BUTTONS}].find(b => b.innerText == 'Clear the stop')"
     page.wait_for_function(f"{STOP} && {record} && {clear}?.disabled && !({BANNER})")
+    page.wait_for_timeout(1000)  # the panel is laid out, and the letters are there
+    until(lambda: box(page, record) == (page.wait_for_timeout(500), box(page, record))[1], page)
     before = box(page, record)
     pretender.stop()
     page.wait_for_function(f"{BANNER} && !{clear}.disabled")
@@ -131,6 +134,14 @@ def test_a_stopped_robot_looks_stopped_and_nothing_in_the_panel_moves(
     assert 0 <= left < right <= width
     assert right <= stop[0] or bottom <= stop[1]  # it does not cover the stop button
     assert (right - left) * (bottom - top) > 20_000  # [pixels²]
+    pretender.age = 2.0
+    page.wait_for_function(f"{NO_CONTACT}.checkVisibility()")
+    black = box(page, NO_CONTACT)
+    assert 0 <= black[0] < black[2] <= width
+    assert 0 <= black[1] < black[3] <= height
+    for other in (stop, box(page, BANNER)):  # neither covers the other, nor the stop button
+        assert black[2] <= other[0] or other[2] <= black[0] or black[3] <= other[1] or other[3] <= black[1]
+    pretender.age = 0.0
     if width > height:
         page.locator("[aria-label^=Minimize]").first.dispatch_event("click")
         page.wait_for_function(f"!{record}")
@@ -152,7 +163,15 @@ def test_what_is_refused_again_and_again_is_one_notice_with_a_count(page, server
     opened(page, server)
     notices = "[...document.querySelectorAll('.mantine-Notification-root')].map(b => b.innerText)"
     until(lambda: server.get_clients(), page)
-    until(lambda: teleop.drive("I") or "times)" in str(page.evaluate(notices)), page)
+
+    def pressed_again():
+        page.keyboard.down("i")
+        page.wait_for_timeout(200)
+        page.keyboard.up("i")
+        page.wait_for_timeout(200)
+        return "times)" in str(page.evaluate(notices))
+
+    until(pressed_again, page)
     told = [text for text in page.evaluate(notices) if "Somebody else holds the robot." in text]
     assert len(told) == 1
     page.wait_for_function(f"!{notices}.join().includes('Somebody')")  # it goes when it is over
@@ -167,7 +186,7 @@ def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, ser
         page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
         page.keyboard.press(" ")
         until(lambda: pretender.stopped, page)
-    assert teleop._session is None
+    assert teleop._recorder is None
     assert pretender.orders == []
 
 

@@ -82,12 +82,12 @@ def test_a_drag_of_the_gizmo_shows_a_plan_and_the_tool_arrives_when_it_is_run(pa
     press(page, "Run the plan")
     until(lambda: client.state.goal == "follow", page)
     until(lambda: client.state.goal != "follow", page)
-    assert np.linalg.norm(client.robot.forward(client.state.q)[:3, 3] - goal) < 0.003
+    assert np.linalg.norm(client.robot.forward(client.state.q)[:3, 3] - goal) < 0.003, client.state.why
     assert page.errors == []
 
 
 def test_the_robot_is_released_by_a_button_and_when_the_last_browser_goes(page, server, client, teleop):
-    page.goto(f"http://127.0.0.1:{server.get_port()}")
+    page.goto(server.gate.address)
     until(lambda: server.get_clients(), page)
     client.take()
     until(lambda: client.state.holder == "page", page)

@@ -26,7 +26,7 @@ def test_a_recording_of_the_page_is_there_when_the_view_is_ended(served, page, t
         try:
             while "Open http" not in (line := process.stdout.readline()):
                 assert line, "the view has ended"
-            page.goto(f"http://127.0.0.1:{port}")
+            page.goto(next(word for word in line.split() if word.startswith("http")))
             press(page, "Record")
             until(lambda: list(tmp_path.glob("out/session-*.mcap")), page)
             page.wait_for_timeout(2000)

@@ -114,7 +114,7 @@ def test_space_stops_whatever_has_the_focus_and_does_nothing_else(page, server, 
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("Space")
     until(lambda: pretender.stopped, page)
-    assert teleop._session is None
+    assert teleop._recorder is None
     assert {order for order, _ in pretender.orders} <= {"hold"}
     assert page.evaluate(
         "[...document.querySelectorAll('button')].some(b => b.checkVisibility() && b.innerText == 'Record')"

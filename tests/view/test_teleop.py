@@ -77,9 +77,11 @@ def test_a_page_that_is_silent_holds_no_key(teleop, pretender, running):
     assert teleop.control.twist() is None
 
 
-def test_a_key_whose_driving_is_refused_is_said_once_and_tried_anew_when_it_is_pressed_anew(teleop, pretender, running):
+def test_a_key_whose_driving_is_refused_is_said_once_and_tried_anew_when_it_is_pressed_anew(
+    teleop, pretender, running, monkeypatch
+):
     said, refused = [], []
-    teleop.control._tell = lambda title, words: said.append(words)
+    monkeypatch.setattr(teleop, "_tell", lambda title, words: said.append(words))
 
     def refuse(arm=None, base=None):
         refused.append(base)
@@ -101,13 +103,71 @@ def test_a_key_whose_driving_is_refused_is_said_once_and_tried_anew_when_it_is_p
 def test_a_stopped_robot_is_sent_nothing_and_one_notice_says_so(teleop, pretender, running):
     pretender.stop()
     running(teleop.loop)
-    teleop.drive("I")
-    until(lambda: any(notice.count > 3 for notice in teleop._notices._given.values()))
     teleop._drag.value = "follow at once"
     teleop._dragged(SimpleNamespace(phase="update"))
-    assert {order for order, _ in pretender.orders} <= {"hold"}
     (notice,) = teleop._notices._given.values()
     assert notice.title == "The robot is stopped"
+    for times in (2, 3):
+        end = time.monotonic() + 0.4
+        while time.monotonic() < end:
+            teleop.control.hold("page", "I")
+            time.sleep(0.02)
+        assert count(teleop) == times  # a key that stays down says it once
+        teleop.control.hold("page", "")
+        time.sleep(0.2)
+    assert pretender.orders == []
+
+
+def count(teleop):
+    """How often the only notice was given."""
+    (notice,) = teleop._notices._given.values()
+    return notice.count
+
+
+def test_a_key_that_is_released_after_a_stop_says_nothing(teleop, pretender, running):
+    running(teleop.loop)
+    until(lambda: teleop.control.hold("page", "I") or twists(pretender))
+    teleop.control.hold("page", "")
+    pretender.stop()
+    until(lambda: ("hold", None) in pretender.orders)
+    assert not teleop._notices._given
+
+
+@pytest.mark.parametrize(("limited", "minded", "words"), [
+    ("It is <b>ahead</b>.", True, "Slowed down</b>: It is &lt;b&gt;ahead&lt;/b&gt;."),
+    ("", False, "obstacles not minded"),
+    ("", True, ""),
+])  # fmt: skip
+def test_the_status_says_what_slows_the_base_down_and_that_nothing_does_as_text(
+    teleop, pretender, limited, minded, words
+):
+    pretender.limited, pretender.minds_obstacles = limited, minded
+    teleop.show()
+    assert words in teleop._status.content
+    assert ("Slowed down" in teleop._status.content, "not minded" in teleop._status.content) == (
+        bool(limited),
+        not minded,
+    )
+
+
+@pytest.mark.parametrize("why", ["The laser sees something. The plan has waited 10 s for it to go.", ""])
+def test_a_plan_of_the_page_that_ends_early_is_a_notice_and_one_that_is_done_is_none(teleop, pretender, why):
+    pretender.why = "of an earlier goal"
+    teleop.show()
+    teleop.show_plan(pretender.plan(None, "sqp"))
+    assert not teleop._notices._given
+    teleop.run()
+    other = pretender.plan(None, "sqp")
+    teleop.show_plan(other)  # while the first runs
+    pretender.why = why
+    until(lambda: teleop.show() or not teleop._started)
+    assert [(n.title, n.body) for n in teleop._notices._given.values()] == [("The plan has ended early", why)] * bool(
+        why
+    )
+    assert teleop.plan is other
+    assert len(teleop.preview._paths) == 2
+    teleop.show()
+    assert len(teleop._notices._given) == bool(why)  # once
 
 
 def test_a_plan_that_a_stopped_robot_does_not_take_stays_and_runs_when_the_stop_is_cleared(teleop, pretender):

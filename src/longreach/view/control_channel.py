@@ -12,11 +12,11 @@ import time
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from longreach.errors import LongreachError
 from longreach.rejection_counts import RejectionCounts
 from longreach.view.robot_client import RobotClient
 
@@ -30,7 +30,7 @@ _SILENT = 0.25  # [s] after which a page that says nothing holds no key
 class ControlChannel:
     """What pages ask of a robot: `serve` hears them, `drive` sends twists while a key is held, and a hold after it.
 
-    pace: returns how fast a key drives [m/s]; tell: shows a title and a sentence.
+    pace: returns how fast a key drives [m/s]; command: does what moves the robot, or says why not, and returns whether.
     """
 
     def __init__(
@@ -38,9 +38,9 @@ class ControlChannel:
         client: RobotClient,
         rejections: RejectionCounts,
         pace: Callable[[], float],
-        tell: Callable[[str, str], None],
+        command: Callable[[Callable[[], None]], bool],
     ) -> None:
-        self._client, self._rejections, self._pace, self._tell = client, rejections, pace, tell
+        self._client, self._rejections, self._pace, self._command = client, rejections, pace, command
         self._held: dict[Hashable, tuple[str, float]] = {}  # of each page: its keys, and when it said so
         self._changed = threading.Event()
         self._stops = ThreadPoolExecutor(4, "stop")  # of its own: a stop waits for nothing else that the page asks
@@ -106,19 +106,18 @@ class ControlChannel:
             self._changed.clear()
             twist = self.twist()
             failed = failed and twist is not None  # after an error keys have to be released first
-            try:
-                if twist is not None and not failed:
-                    driving = True
-                    self._client.velocity(base=twist)
-                elif driving:
-                    driving = False
-                    self._client.hold()
-            except Exception as error:  # whatever it is, the next key is tried anew
-                failed, driving = True, False
-                self._tell("That did not work", str(error))
+            if twist is not None and not failed:
+                driving = self._command(partial(self._client.velocity, base=twist))
+                failed = not driving
+            elif driving:
+                driving = False
+                self._stand()
         if driving:
-            with suppress(LongreachError):
-                self._client.hold()
+            self._stand()
+
+    def _stand(self) -> None:
+        with suppress(Exception):  # whatever it is: a base that is sent nothing stands by itself
+            self._client.hold()
 
 
 def parse(raw: Any) -> tuple[str, bool] | None:

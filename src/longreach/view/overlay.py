@@ -14,13 +14,14 @@ from typing import Any
 from longreach.evaluation import style
 
 _NARROW = "36em"  # below, viser has its panel at the bottom
+_PANEL = "38%"  # of the height, that it may have there
 _INSIDE = ".mantine-ScrollArea-root"  # of the panel at the bottom, of no other
 _LAYOUT = f"""
 @media (max-width: {_NARROW}) {{
   #root div:has(> .mantine-Paper-root > div > {_INSIDE}) {{ flex-direction: column; }}
   #root div:has(+ .mantine-Paper-root > div > {_INSIDE}) {{ height: auto !important; min-height: 0; }}
   #root .mantine-Paper-root:has(> div > {_INSIDE}) {{
-    position: relative !important; flex: none; width: 100% !important; max-height: 38% !important; }}
+    position: relative !important; flex: none; width: 100% !important; max-height: {_PANEL} !important; }}
   #root .mantine-ScrollArea-content > div {{ width: 100% !important; }}
 }}
 """
@@ -31,17 +32,19 @@ _STOP = f"""
   touch-action: manipulation; user-select: none; }}
 #longreach-stop small {{ display: block; margin-top: .25rem; font: 400 .75rem/1 system-ui, sans-serif; }}
 #longreach-stop.longreach-off {{ background: #868e96; text-decoration: line-through; }}
-#longreach-banner {{ display: none; position: fixed; z-index: 100000; left: 50%; top: 16px; transform: translateX(-50%);
-  box-sizing: border-box; width: min(40rem, 100vw - 32px); padding: 1rem 1.25rem; border: 3px solid #fff;
-  border-radius: 12px; background: #1c1e21; color: #fff; font: 400 1.1rem/1.35 system-ui, sans-serif;
-  box-shadow: 0 2px 10px rgb(0 0 0 / .35); pointer-events: none; }}
+#longreach-banner {{ display: none; position: fixed; z-index: 100000; left: calc(8.5rem + 32px); bottom: 16px;
+  box-sizing: border-box; width: min(40rem, max(20rem, 100vw - 8.5rem - 26em)); padding: 1rem 1.25rem;
+  border: 3px solid #fff; border-radius: 12px; background: #1c1e21; color: #fff; pointer-events: none;
+  font: 400 1.1rem/1.35 system-ui, sans-serif; box-shadow: 0 2px 10px rgb(0 0 0 / .35); }}
 #longreach-banner b {{ display: block; font-size: 1.5rem; margin-bottom: .2rem; }}
 #longreach-stop:hover {{ filter: brightness(1.1); }}
 #longreach-stop:active {{ filter: brightness(.75); }}
 @media (max-width: {_NARROW}) {{
   #longreach-stop {{ left: auto; bottom: auto; right: 12px; top: 12px; width: 6.5rem; }}
   #longreach-stop small {{ display: none; }}
-  #longreach-banner {{ top: 88px; width: calc(100vw - 24px); }}
+  #longreach-banner {{ left: 12px; bottom: calc({_PANEL} + 12px); width: calc(100vw - 24px); padding: .6rem .9rem;
+    font-size: 1rem; }}
+  #longreach-banner b {{ font-size: 1.2rem; }}
 }}
 """
 _BANNER_COLOUR = (178, 34, 34)  # of nothing else in the page

@@ -1,5 +1,6 @@
 """A robot in the page, live: watched, driven by keys and buttons, its tool dragged, and stopped."""
 
+import logging
 import threading
 import time
 from collections import deque
@@ -32,6 +33,8 @@ _SILENT = 0.25  # [s]
 _LASTING = 0.5  # a stop that is worth a banner [s]
 _ALONE = 1.0  # after the last browser has gone the robot is released [s]
 _CLEAR = "Clear the stop"
+_STATUS = "font-size:.875rem;line-height:1.5;padding:.2em .6em;overflow-wrap:anywhere"
+_LOG = logging.getLogger("longreach.view")
 _BUTTONS = {"U": "⟲ U", "I": "↑ I", "O": "⟳ O", "J": "← J", "K": "↓ K", "L": "→ L"}  # as on a keyboard
 _SHOWN = ("estimate", "wheels", "truth", "scan", "map", "base driven", "tool driven", "base planned", "tool planned")
 
@@ -66,7 +69,7 @@ class Teleop:
     def _add_controls(self) -> None:
         gui, client = self._server.gui, self.client
         gate = self._server.gate
-        self.control = ControlChannel(client, gate.rejections, lambda: self._pace.value, self._tell)
+        self.control = ControlChannel(client, gate.rejections, lambda: self._pace.value, self._command)
         gate.control = self.control.serve
         overlay.add_stop(self._server)
         self._notices = overlay.Notices(self._server)
@@ -135,7 +138,7 @@ class Teleop:
     def show_plan(self, plan: ConfigurationTrajectory) -> None:
         """Show the way along a plan, and let it be run or dropped."""
         self.preview.show(plan)
-        self.plan, self._started = plan, 0.0
+        self.plan = plan
         self.run_button.label = f"Run the plan, {plan.duration:.1f} s"
         self.run_button.disabled = self.drop_button.disabled = False
 
@@ -152,9 +155,17 @@ class Teleop:
         self._forget()
 
     def _forget(self) -> None:
-        self.plan, self._started = None, 0.0
+        self.plan = None
         self.run_button.label = "Run the plan"
         self.run_button.disabled = self.drop_button.disabled = True
+
+    def _plan_ended(self, why: str) -> None:
+        """Take away the way of the plan that has run; why: it ended early, empty where it did not."""
+        self._started = 0.0
+        if self.plan is None:  # no other one is shown
+            self.preview.hide()
+        if why:
+            self._tell("The plan has ended early", why)
 
     def record(self) -> None:
         """Begin to record, or end it."""
@@ -175,7 +186,9 @@ class Teleop:
         """Do something and return whether it worked; if not, say why."""
         try:
             action()
-        except LongreachError as error:
+        except Exception as error:  # whatever it is, the page says so and goes on
+            if not isinstance(error, LongreachError):
+                _LOG.exception("The page could not do what was asked of it.")
             self._tell("That did not work", str(error))
             return False
         return True
@@ -233,7 +246,7 @@ class Teleop:
             if not self._dragging and not self._busy and self.plan is None:
                 self._put_gizmo(tool)
             if self._started and time.monotonic() > self._started + 1.0 and state.goal != "follow":
-                self.drop()
+                self._plan_ended(state.why)
             if count % 5 == 0:
                 self._show_status(state)
                 self._notices.show(self._banner(state))
@@ -263,7 +276,10 @@ class Teleop:
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
         planning = f" · <b>{text_html(self._busy)}</b>" if self._busy else ""
         words = f"{word}{done}{planning} · held by {held}"
-        text = f'<div style="font-size:.875rem;padding:.2em .6em;overflow-wrap:anywhere">{words}</div>'
+        if self.client.robot.base.stop:
+            slow = f"<b>Slowed down</b>: {text_html(state.limited)}" if state.limited else ""
+            words += f'<div style="min-height:3em">{slow if state.minds_obstacles else "obstacles not minded"}</div>'
+        text = f'<div style="{_STATUS}">{words}</div>'
         if self._status.content != text:
             self._status.content = text
         for button, disabled in ((self._reset, not state.latched), (self._release, not self.client.holds)):
