@@ -170,6 +170,7 @@ def _client(kind, at, fault, lasts):
 
 
 @pytest.mark.parametrize("count", [12, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.usefixtures("unchecked")
 def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(thing, count):
     rng = np.random.default_rng(14)
     for case in range(count):
@@ -192,6 +193,7 @@ def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(t
 
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.parametrize("stop", ["by a client", "button", "contact", "short", "long"])
+@pytest.mark.usefixtures("unchecked")
 def test_after_a_stop_and_its_reset_only_a_new_command_moves_the_robot(thing, kind, stop):
     sent, due = [], [0.1]
 
