@@ -169,8 +169,9 @@ def _client(kind, at, fault, lasts):
     return script
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.long)])
-def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(thing, count, unchecked):
+@pytest.mark.parametrize("count", [12, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.usefixtures("unchecked")
+def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(thing, count):
     rng = np.random.default_rng(14)
     for case in range(count):
         kind, fault = _KINDS[case % 4], rng.choice(["killed", "halted", "cut"])
@@ -193,7 +194,8 @@ def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(t
 
 @pytest.mark.parametrize("kind", ["plan", "velocity"])
 @pytest.mark.parametrize("stop", ["by a client", "button", "contact", "short", "long"])
-def test_after_a_stop_and_its_reset_only_a_new_command_moves_the_robot(thing, kind, stop, unchecked):
+@pytest.mark.usefixtures("unchecked")
+def test_after_a_stop_and_its_reset_only_a_new_command_moves_the_robot(thing, kind, stop):
     sent, due = [], [0.1]
 
     def script(robot, now):
