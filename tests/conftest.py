@@ -56,7 +56,7 @@ TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}  #
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test of a folder with a tier its marker, unless it has another one, before pytest selects by markers."""
+    """Give each test of a folder with a tier its marker, unless it has another, before pytest selects by markers."""
     for item in items:
         tier = TIERS.get(item.path.relative_to(Path(__file__).parent).parts[0])
         if tier and not any(item.get_closest_marker(name) for name in TIERS.values()):
