@@ -153,7 +153,11 @@ def test_a_stopped_robot_looks_stopped_and_nothing_in_the_panel_moves(
     assert page.errors == []
 
 
-def test_what_is_refused_again_and_again_is_one_notice_with_a_count(page, server, pretender, running, tmp_path):
+def test_what_is_refused_again_and_again_is_one_notice_with_a_count(
+    page, server, pretender, running, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("longreach.view.overlay._LASTS", 3.0)
+
     def refuse(arm=None, base=None):
         raise LiveError("Somebody else holds the robot.")
 

@@ -23,6 +23,7 @@ class View:
     """`longreach view` of a served robot, in a process of its own."""
 
     def __init__(self, served):
+        self.served = served
         command = [sys.executable, "-u", "-c", _VIEW, "view", "--connect", served.address, "--port", "0"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         for line in self.process.stdout:
@@ -38,19 +39,31 @@ class View:
         self.process.stdout.close()
 
 
-@pytest.fixture
-def served(tmp_path):
-    one = Served(tmp_path).ready()
-    yield one
-    one.process.send_signal(signal.SIGCONT)
-    one.end()
+@pytest.fixture(scope="module")
+def started():
+    """A robot and a view of it for all tests; a test that has killed one leaves the next to start another."""
+    processes = {}
+    yield processes
+    for one in processes.values():
+        one.process.send_signal(signal.SIGCONT)
+        one.end()
 
 
 @pytest.fixture
-def view(served):
-    one = View(served)
-    yield one
-    one.end()
+def served(started, tmp_path_factory):
+    if "served" not in started or started["served"].process.poll() is not None:
+        started["served"] = Served(tmp_path_factory.mktemp("served")).ready()
+    return started["served"]
+
+
+@pytest.fixture
+def view(started, served):
+    if "view" in started and (started["view"].served is not served or started["view"].process.poll() is not None):
+        started.pop("view").end()
+    if "view" not in started:
+        started["view"] = View(served)
+    started["view"].process.send_signal(signal.SIGCONT)
+    return started["view"]
 
 
 def limit(seconds):
@@ -122,6 +135,16 @@ def test_space_stops_whatever_has_the_focus_and_does_nothing_else(page, server, 
     assert page.errors == []
 
 
+def test_the_button_stops_a_served_robot_and_is_confirmed(page, view, served):
+    open_quiet(page, view.address)
+    page.evaluate(f"{STOP}.click()")
+    with lr.connect(served.address, name="another") as other:
+        until(lambda: other.state.latched, page)
+        page.wait_for_timeout(1000)
+        assert not [said for _, shown, said in page.evaluate("window.seen") if "confirmed" in said and shown == "block"]
+        assert not says(page)
+
+
 def test_the_page_says_at_once_that_the_view_is_frozen_or_gone(page, view):
     open_quiet(page, view.address)
     view.process.send_signal(signal.SIGSTOP)
@@ -148,13 +171,3 @@ def test_the_page_says_at_once_that_the_robot_is_frozen_or_gone_and_a_stop_reach
         until(lambda: not says(page) and not is_off(page), page)
     served.process.kill()
     assert seconds_until_it_says(page, "The robot has been silent for", time.time()) < limit(1.0)
-
-
-def test_the_button_stops_a_served_robot_and_is_confirmed(page, view, served):
-    open_quiet(page, view.address)
-    page.evaluate(f"{STOP}.click()")
-    with lr.connect(served.address, name="another") as other:
-        until(lambda: other.state.latched, page)
-        page.wait_for_timeout(1000)
-        assert not [said for _, shown, said in page.evaluate("window.seen") if "confirmed" in said and shown == "block"]
-        assert not says(page)
