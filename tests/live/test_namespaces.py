@@ -60,7 +60,8 @@ def test_a_robot_whose_network_goes_down_stands_and_its_recording_is_whole(names
                 stopped.append((stamp, message.status[0].message))
             elif connection.topic == "/odometry/filtered":
                 speeds.append((stamp, message.twist.twist.linear.x))
-    assert stopped[0][1].startswith("The client was not heard for 0.24")
+    # Missed beyond 0.24 s, which is seen at the next tick: 0.248 s at most.
+    assert stopped[0][1] in [f"The client was not heard for {silent} s." for silent in ("0.24", "0.25")]
     t, v = np.array(speeds).T
     assert v[t < stopped[0][0]].max() > 0.35
     assert np.abs(v[t > stopped[0][0] + 0.4 / 2.5 + 0.15]).max() < 0.03  # braked as hard as it may, and then at rest
