@@ -66,9 +66,7 @@ class Case:
         goal = q.copy()
         goal[:3] += self.rng.uniform(-1.0, 1.0, 3) * [3.0, 3.0, 2.0]
         plan = straight(self.robot, q, goal)
-        rows = np.linspace(0.0, 1.0, 300)[:, None]
-        looked = lr.ConfigurationTrajectory(plan.duration * rows[:, 0], q + rows * (goal - q))
-        why = met_by(self.newest.state.gate.obstacles, looked)
+        why = met_by(self.newest.state.gate.obstacles, plan)
         self.outcome = f"refused: {why}" if why else "planned"
         return Orders(goal=None if why else Follow(plan, 0.0), heartbeat=now)
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control import _obstacle_kernels as kernels
+from longreach.control.interpolation import sample
 from longreach.geometry import se2
 from longreach.measurement import LaserScan
 from longreach.robot.description import Mount
@@ -26,7 +27,7 @@ _BRAKES = 0.8  # part of the accelerations that is counted on; ours
 _FAR = 5.0  # from the base points are remembered [m]: several times what braking takes
 _MOST = 4000  # points that are remembered
 _MOVED = 0.02  # of a joint [rad], for which the arm's outline is computed anew
-_WAY = 0.05  # of the base between two rows of a plan that are looked at [m]
+_LOOK, _LOOKS = 0.04, 10_000  # between two looks at a plan [s]: 5 cm at most; and how many there are at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +85,7 @@ def step(
     if arm is not None and np.abs(arm - state.arm).max(initial=0.0) > _MOVED:
         state = replace(state, arm=np.array(arm), capsules=state.footprint.capsules(arm))
     points, count = state.points, state.count
-    for scan in scans[-1:]:
+    for scan in [scan for scan in scans if math.isfinite(now - scan.stamp)][-1:]:
         age = min(max(now - scan.stamp - 0.5 * len(scan.ranges) * scan.time_increment, 0.0), 1.0)
         then = se2.compose(pose, se2.exp(-age * twist))
         known, points = points, np.empty_like(points)
@@ -119,16 +120,15 @@ def limited(
 def met_by(state: ObstacleState, plan: ConfigurationTrajectory) -> str:
     """Return why a plan of all joints, in the frame of the state's pose, meets what was seen; empty: it does not."""
     robot = state.footprint.robot
-    q = plan.q
-    way = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
-    rows = np.unique(np.searchsorted(np.concatenate([[0.0], np.cumsum(way)]), np.arange(0.0, way.sum() + _WAY, _WAY)))
-    rows = np.unique(np.append(rows[rows < len(q)], [0, len(q) - 1]))
-    capsules = np.stack([state.footprint.capsules(q[row, robot.arm]) for row in rows.tolist()])
+    looks = min(math.ceil(plan.duration / _LOOK), _LOOKS) + 1
+    t = np.linspace(plan.stamps[0], plan.stamps[-1], looks)
+    q, _, _ = sample(plan, t)
     row, which = kernels.first_contact(
-        state.points, state.count, np.ascontiguousarray(q[rows][:, robot.base]), state.footprint.rectangle, capsules
-    )
+        state.points, state.count, np.ascontiguousarray(q[:, robot.base]), state.footprint.rectangle,
+        state.footprint.capsules(q[:, robot.arm]),
+    )  # fmt: skip
     if row < 0:
         return ""
     x, y = state.points[which]
-    at = plan.stamps[rows[row]] - plan.stamps[0]
+    at = t[row] - t[0]
     return f"The plan meets something that the laser has seen at ({x:.2f}, {y:.2f}) m, {at:.1f} s after its begin."

@@ -23,15 +23,18 @@ class Footprint:
     rectangle: Float[np.ndarray, "4"]
     links: tuple[tuple[str, Float[np.ndarray, "3"], Float[np.ndarray, "3"], float], ...]
 
-    def capsules(self, arm: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k 5"]:
+    def capsules(self, arm: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k 5"]:
         """Return the arm's capsules where its joints are at (m,), a row each: ends x, y, x, y and radius [m]."""
-        q = np.concatenate([np.zeros(self.robot.base.stop), arm])
-        rows = np.empty((len(self.links), 5))
+        batch = arm.shape[:-1]
+        q = np.concatenate([np.zeros((*batch, self.robot.base.stop)), arm], axis=-1)
+        rows = np.empty((*batch, len(self.links), 5))
         T, last = np.eye(4), ""
-        for row, (name, a, b, radius) in zip(rows, self.links, strict=True):
+        for i, (name, a, b, radius) in enumerate(self.links):
             if name != last:
                 T, last = self.robot.frame(name, q), name
-            row[:2], row[2:4], row[4] = (T[:3, :3] @ a + T[:3, 3])[:2], (T[:3, :3] @ b + T[:3, 3])[:2], radius
+            rows[..., i, :2] = (T[..., :3, :3] @ a + T[..., :3, 3])[..., :2]
+            rows[..., i, 2:4] = (T[..., :3, :3] @ b + T[..., :3, 3])[..., :2]
+            rows[..., i, 4] = radius
         return rows
 
 
