@@ -192,7 +192,9 @@ def test_a_client_that_is_gone_leaves_a_robot_that_never_moves_again_by_itself(t
         assert isinstance(robot.records[-1].state.goal, Hold)
 
 
-@pytest.mark.parametrize("kind", ["plan", "velocity"])
+@pytest.mark.parametrize(
+    "kind", ["plan", "velocity", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("servo", "gripper"))]
+)
 @pytest.mark.parametrize("stop", ["by a client", "button", "contact", "short", "long"])
 @pytest.mark.usefixtures("unchecked")
 def test_after_a_stop_and_its_reset_only_a_new_command_moves_the_robot(thing, kind, stop):

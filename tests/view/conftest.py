@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from live_networks import Served
 from rosbags.typesys import Stores, get_typestore
 
 import longreach as lr
@@ -140,6 +141,23 @@ class Pretender:
 @pytest.fixture
 def pretender(thing):
     return Pretender(thing)
+
+
+@pytest.fixture(scope="package")
+def served(tmp_path_factory):
+    """A kinematic robot that another process serves."""
+    one = Served(tmp_path_factory.mktemp("served")).ready()
+    yield one
+    one.end()
+
+
+@pytest.fixture
+def client(served):
+    """The page's client, that leaves a robot which stands and may be commanded."""
+    with lr.connect(served.address, name="page") as connected:
+        yield connected
+        connected.reset()
+        connected.hold()
 
 
 @pytest.fixture

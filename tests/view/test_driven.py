@@ -4,30 +4,14 @@ import time
 
 import numpy as np
 import pytest
-from live_networks import Served
 from page_parts import CANVAS, STOP, box, press, until
 
-import longreach as lr
 from longreach.view.bodies import rotation
 from longreach.view.replay import read_run
 from longreach.view.teleop import Teleop
 
 _GRIP = 0.85  # where on an arrow of the gizmo a hand takes it
 _PIXELS = 70.0  # of the gizmo's arrows
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    one = Served(tmp_path_factory.mktemp("served")).ready()
-    yield one
-    one.end()
-
-
-@pytest.fixture
-def client(served):
-    with lr.connect(served.address, name="page") as connected:
-        yield connected
-        connected.reset()
 
 
 @pytest.fixture

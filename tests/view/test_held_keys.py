@@ -5,27 +5,11 @@ import time
 
 import numpy as np
 import pytest
-from live_networks import Served
 from page_parts import CANVAS, STOP, box, until
 
-import longreach as lr
 from longreach.view.teleop import Teleop
 
 PAD = "document.querySelector('[data-drive={}]')"
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    one = Served(tmp_path_factory.mktemp("served")).ready()
-    yield one
-    one.end()
-
-
-@pytest.fixture
-def client(served):
-    with lr.connect(served.address, name="page") as connected:
-        yield connected
-        connected.hold()
 
 
 @pytest.fixture

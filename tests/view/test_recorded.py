@@ -5,17 +5,10 @@ import subprocess
 import sys
 
 import pytest
-from live_networks import Served, free_port
+from live_networks import free_port
 from page_parts import press, until
 
 from longreach.io.bag_info import inspect
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    one = Served(tmp_path_factory.mktemp("served")).ready()
-    yield one
-    one.end()
 
 
 @pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "SIGKILL"])
