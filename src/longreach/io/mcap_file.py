@@ -1,5 +1,7 @@
 """MCAP files: written in chunks that can each be read alone, and read where their end is missing or damaged.
 
+What its topics are stands before the chunks: a damaged chunk takes no topic with it.
+
 Source: https://mcap.dev/spec. Whole files are read by rosbags.
 """
 
@@ -9,21 +11,19 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Collection, Iterator
-from enum import Enum
 from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
     MessageDefinition,
     MessageDefinitionFormat,
     Qos,
-    QosTime,
 )
+from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
 from longreach.io.formats import MCAP_MAGIC
@@ -64,8 +64,14 @@ class McapWriter:
         self._channels: list[bytes] = []
         self._counts: list[int] = []
         self._first, self._last = 2**63 - 1, 0
+        self._new = b""  # of these, what is not in the file yet: it stands before a chunk, which may be damaged
         self._clear()
-        self._append(MCAP_MAGIC + _record(_HEADER, _sized(b"ros2"), _sized(b"longreach")))
+        try:
+            self._append(MCAP_MAGIC + _record(_HEADER, _sized(b"ros2"), _sized(b"longreach")))
+        except OSError:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
 
     def _clear(self) -> None:
         self._records = bytearray()
@@ -83,13 +89,13 @@ class McapWriter:
             number = (len(self._schemas) + 1).to_bytes(2, "little")
             texts = (type, "ros2msg", definition)
             self._schemas[type] = _record(_SCHEMA, number, *(_sized(text.encode()) for text in texts))
-            self._records += self._schemas[type]
+            self._new += self._schemas[type]
         channel, schema = len(self._channels) + 1, list(self._schemas).index(type) + 1
-        qos = _sized(b"offered_qos_profiles") + _sized(_qos_text(offered_qos_profiles).encode())
+        qos = _sized(b"offered_qos_profiles") + _sized(dump_qos_v8(list(offered_qos_profiles)).encode())
         start = struct.pack("<HH", channel, schema)
         self._channels.append(_record(_CHANNEL, start, _sized(topic.encode()), _sized(b"cdr"), _sized(qos)))
         self._counts.append(0)
-        self._records += self._channels[-1]
+        self._new += self._channels[-1]
         return channel
 
     def write(self, channel: int, stamp_ns: int, payload: bytes | memoryview) -> None:
@@ -111,14 +117,15 @@ class McapWriter:
         first, last, size = min(stamps), max(stamps), len(self._records)
         head = _CHUNK_HEAD.pack(first, last, size, zlib.crc32(self._records))
         chunk = _record(_CHUNK, head, _sized(b""), size.to_bytes(8, "little"), self._records)
-        indices, offsets = b"", b""
+        indices, offsets, start = b"", b"", self._size + len(self._new)
         for channel, messages in self._messages.items():
-            offsets += struct.pack("<HQ", channel, self._size + len(chunk) + len(indices))
+            offsets += struct.pack("<HQ", channel, start + len(chunk) + len(indices))
             rows = b"".join(struct.pack("<QQ", *message) for message in messages)
             indices += _record(_MESSAGE_INDEX, channel.to_bytes(2, "little"), _sized(rows))
-        about = struct.pack("<QQQQ", first, last, self._size, len(chunk)) + _sized(offsets)
+        about = struct.pack("<QQQQ", first, last, start, len(chunk)) + _sized(offsets)
         about += struct.pack("<Q", len(indices)) + _sized(b"") + struct.pack("<QQ", size, size)
-        self._append(chunk + indices)
+        self._append(self._new + chunk + indices)
+        self._new = b""
         self._chunk_indices.write(_record(_CHUNK_INDEX, about))
         self._chunks += 1
         for channel, messages in self._messages.items():
@@ -141,7 +148,7 @@ class McapWriter:
     def _finish(self) -> None:
         """Write the summary, by which a reader finds each message at once."""
         self.flush()
-        self._append(_record(_DATA_END, bytes(4)))
+        self._append(self._new + _record(_DATA_END, bytes(4)))
         numbers = (self.count, len(self._schemas), len(self._channels), 0, 0, self._chunks)
         times = (self._first, self._last) if self._chunks else (0, 0)
         counts = b"".join(struct.pack("<HQ", i + 1, count) for i, count in enumerate(self._counts))
@@ -170,15 +177,6 @@ class McapWriter:
         with self._file, self._chunk_indices:
             if failed is None:
                 self._finish()
-
-
-def _qos_text(profiles: Collection[Qos]) -> str:
-    """Return quality of service as YAML, as ROS 2 writes it."""
-    rows = []
-    for profile in profiles:
-        row = {name: value.value if isinstance(value, Enum) else value for name, value in profile._asdict().items()}
-        rows.append({name: value._asdict() if isinstance(value, QosTime) else value for name, value in row.items()})
-    return yaml.safe_dump(rows).strip() if rows else ""
 
 
 class _Part(NamedTuple):
