@@ -13,6 +13,10 @@ from longreach.robot.bases import DifferentialBase
 from longreach.robot.description import Encoder, RobotDescription, Topics
 
 WHEELS = ("left", "right")
+AT_THE_BASE = (
+    "Nothing says where the lidar is mounted (laser: no transform names a base_link); it is taken to stand at base_link, "
+    "looking ahead. Give lidar.mount in the robot's description.",
+)
 
 
 def robot(signal="angle", base=True, **topics):
@@ -128,7 +132,10 @@ def test_wheels_that_are_nowhere_in_their_topic_are_an_error(mcap):
 def test_joints_that_are_no_wheels_do_not_keep_the_lidar_from_being_read(mcap):
     found = mcap.joints("/arm", 1.0, ["a", "b", "c"], np.zeros(3)).scan("/scan", 1.0).read(robot())
     assert (len(found.wheels), len(found.scans)) == (0, 1)
-    assert found.remarks == ("1 messages of /arm hold nothing that can be used.",)
+    assert found.remarks == (
+        "1 messages of /arm cannot be used and were left out: each has no joint that is looked for.",
+        *AT_THE_BASE,
+    )
 
 
 def test_a_named_topic_that_is_missing_is_an_error_that_tells_what_is_there(mcap):
@@ -219,7 +226,7 @@ def test_a_sensor_that_moves_in_the_base_has_no_mount(mcap, rng):
     mcap.transforms("/tf", 0.6, "laser", "base_link", se3.exp(rng.normal(size=6)))
     found = mcap.read(robot())
     assert found.mounts == {}
-    assert found.remarks == ("laser moves in the base, so no mount is known of it.",)
+    assert "(laser: it moves in base_link); it is taken to stand at base_link" in found.remarks[0]
 
 
 def test_headers_without_stamps_take_the_time_of_recording(bag):

@@ -190,7 +190,7 @@ class Subscriber:
     def _take_reading(self, kind: str, topic: Topic, make: Callable[[Any], Any], payload: bytes) -> None:
         message = topic.unpack(payload)
         made = make(message)
-        if made is not None:
+        if made is not None and not isinstance(made, str):
             self._new[kind].append(made(stamp=commands.stamp_of(message)))
 
     def _take_arm(self, payload: bytes) -> None:
@@ -269,7 +269,7 @@ def made_state(
     covariance, wheels = np.zeros((3, 3)), np.zeros(3)
     if robot.base.stop:
         make, alone = records.odometry(said[topics.ESTIMATE]), records.odometry(said[topics.WHEELS_ALONE])
-        if make is None or alone is None:
+        if isinstance(make, str) or isinstance(alone, str):
             raise ValueError("an odometry that says nothing")
         odometry, wheels = make(stamp=stamp), alone(stamp=stamp).pose
         covariance = covariance if odometry.pose_covariance is None else odometry.pose_covariance
