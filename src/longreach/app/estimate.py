@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from longreach.app import plausibility
 from longreach.app.configuration import EstimateConfig
+from longreach.app.doctor import examine
 from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate, innovations, match_consistency
 from longreach.errors import EstimationError
 from longreach.estimation.planar import filter as planar_filter
@@ -22,13 +24,14 @@ from longreach.localization.localizer import LocalizerState, Output, Reading, Ro
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
-from longreach.odometry.wheel import wheel_odometry
+from longreach.odometry.wheel import WheelOdometry, wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 _FILTERED = ("fused", "localized", "smoothed")
 _BLOCK = 500  # readings between two reports of progress
+_FAULTS = 4  # of a recording's sources that are found at most; each costs a run
 _WIDER = 3.0  # the fixes are smoothed as well, so what they say of the start is taken with a larger deviation
 
 
@@ -90,12 +93,13 @@ def estimate(
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
+    recording, found = examine(recording, robot, sensor_mount(recording, robot, "imu"))
     sources = _sources(recording, robot, config)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
 
+    recording, sources, done, contradictions = _agreeing(recording, robot, config, sources, tell)
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
     alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in sources else ()
-    done = _localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
@@ -110,7 +114,9 @@ def estimate(
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, done), *evaluation.remarks)
+    remarks = (*recording.remarks, *found, *contradictions, *_remarks(wheels, done), *evaluation.remarks)
+    if doubtful := plausibility.verdict(done.output.corrections):
+        remarks = (doubtful, *remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
 
@@ -120,6 +126,32 @@ class _Done(NamedTuple):
 
     state: LocalizerState
     output: Output
+
+
+def _agreeing(
+    recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: tuple[Source, ...], tell: Progress
+) -> tuple[Recording, tuple[Source, ...], _Done, list[str]]:
+    """Estimate; where a source contradicts the others, put it right or leave it out, and estimate anew.
+
+    Sources that were asked for by name are not left out.
+    """
+    remarks: list[str] = []
+    while True:
+        done = _localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
+        mount_is_known = has_mount(recording, robot, "lidar")
+        said = plausibility.motions(done.output.matches, done.output.events)
+        fault = plausibility.fault(said, mount_is_known)
+        if fault is None or fault.remark in remarks:
+            break
+        remarks.append(fault.remark)
+        if len(remarks) == _FAULTS:
+            break
+        if fault.mend == "leave" and config.sources is None:
+            sources = tuple(source for source in sources if source != fault.source)
+        elif fault.mend in ("leave", "note"):
+            break
+        recording = plausibility.mended(recording, fault)
+    return recording, sources, done, remarks
 
 
 def _localized(
@@ -179,9 +211,18 @@ def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> 
     described = getattr(robot, sensor)
     if described is not None and described.mount is not None:
         return described.mount.matrix()
+    return np.asarray(recording.mounts.get(_frame(recording, sensor), np.eye(4)))
+
+
+def has_mount(recording: Recording, robot: RobotDescription, sensor: str) -> bool:
+    """Whether anything says where a sensor is mounted."""
+    described = getattr(robot, sensor)
+    return (described is not None and described.mount is not None) or _frame(recording, sensor) in recording.mounts
+
+
+def _frame(recording: Recording, sensor: str) -> str:
     records = {"lidar": recording.scans, "imu": recording.imu}[sensor]
-    frame = records[0].frame if records else ""
-    return np.asarray(recording.mounts.get(frame, np.eye(4)))
+    return records[0].frame if records else ""
 
 
 def _sources(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
@@ -243,10 +284,12 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, done: _Done) -> list[str]:
+def _remarks(wheels: WheelOdometry, done: _Done) -> list[str]:
     remarks, matches = [], done.output.matches
-    if breaks:
-        remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
+    if wheels.refused:
+        remarks.append(f"{wheels.refused} records of the wheels are not finite; they were passed over.")
+    if wheels.breaks:
+        remarks.append(f"The wheels' counts jumped {wheels.breaks} times; nothing was taken across the jumps.")
     if done.state.now.fixed:
         remarks.append("The fixes lie too near each other to show the heading on the map, so nothing is localized.")
     if done.state.buffer.waiting:
