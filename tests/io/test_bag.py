@@ -14,8 +14,8 @@ from longreach.robot.description import Encoder, RobotDescription, Topics
 
 WHEELS = ("left", "right")
 AT_THE_BASE = (
-    "Nothing says where the lidar is mounted (laser: no transform names a base_link); it is taken to stand at base_link, "
-    "looking ahead. Give lidar.mount in the robot's description.",
+    "Nothing says where the lidar is mounted (laser: no transform names a base_link); it is taken to stand at "
+    "base_link, looking ahead. Give lidar.mount in the robot's description.",
 )
 
 

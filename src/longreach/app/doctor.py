@@ -6,6 +6,7 @@ It looks at no more than a sample of each sensor, so that it costs next to nothi
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -101,6 +102,8 @@ def _gravity(felt: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, float | None,
         return none, None, f"The IMU's acceleration is {size:.2g} m/s² and not gravity: it has no accelerometer; {out}."
     if not np.ptp(felt, axis=0).any():
         return none, None, f"The IMU's acceleration is the same number in all readings: it is not measured; {out}."
+    if np.linalg.norm(mean) < 0.5 * size:
+        return none, None, f"The IMU's accelerations have no gravity in them, only motion; {out}."
     scale = next((one for one in (1.0, _GRAVITY, 1e-3 * _GRAVITY) if abs(one * size / _GRAVITY - 1) < _ABOUT), None)
     if scale is None:
         return none, None, f"The IMU's acceleration is {size:.2f} m/s² where gravity is {_GRAVITY:.2f}; {out}."
@@ -142,6 +145,11 @@ def _scans(scans: tuple[LaserScan, ...]) -> _Seen:
         n, at = int(blocked.sum()), np.flatnonzero(blocked)
         say = f"{n} of {len(blocked)} beams, between number {at[0]} and {at[-1]}, always see the same, nearer than "
         said.append(say + f"{_OWN:g} m: the robot itself; they were left out.")
+    scans, repeated = _without_repeats(scans)
+    if repeated:
+        said.append(
+            f"{repeated} scans repeat the one before to the last digit, as if the scanner hung; they were left out."
+        )
     kinds = len({(len(one.ranges), round(one.angle_min, 4), round(one.angle_increment, 6)) for one in sample})
     if kinds > 3:
         said.append("The beams of the scans differ from scan to scan.")
@@ -161,6 +169,18 @@ def _scans(scans: tuple[LaserScan, ...]) -> _Seen:
         return replace(one, ranges=ranges, angle_min=first, angle_increment=step, **limits)
 
     return _Seen(tuple(mended(one) for one in scans), said)
+
+
+def _without_repeats(scans: tuple[LaserScan, ...]) -> tuple[tuple[LaserScan, ...], int]:
+    """Leave out scans with the ranges of the one before, of which noise leaves none, where there are some in a row."""
+    same = [False, *(_is_same(a.ranges, b.ranges) for a, b in pairwise(scans))]
+    again = [one and (same[i - 1] or (i + 1 < len(same) and same[i + 1])) for i, one in enumerate(same)]
+    return tuple(scan for scan, out in zip(scans, again, strict=True) if not out), sum(again)
+
+
+def _is_same(a: np.ndarray, b: np.ndarray) -> bool:
+    n = len(a)
+    return n == len(b) and a[n // 2] == b[n // 2] and a[n // 3] == b[n // 3] and np.array_equal(a, b, equal_nan=True)
 
 
 def _blocked(sample: list[LaserScan], unit: float) -> np.ndarray | None:

@@ -30,9 +30,10 @@ _WHEELS_TURN, _WHEELS_WAY, _GYRO = 0.5, 0.3, 0.15
 _AGREE = 0.8  # correlation below which sources have nothing to do with each other
 _ASKEW = np.radians(10.0)  # between the directions in which wheels and scans go
 _ASIDE = 0.05  # [m] that a laser may stand off where it is taken to be
+_ALIKE = 0.9  # correlation that sources have to reach where their clocks are said to differ
 _SURE = 5.0  # standard errors beyond those: a false alarm in 2 million runs of independent windows
 _LATE, _LATEST, _RATE = 0.25, 4.0, 20.0  # [s, s, Hz] of clocks that differ
-_CLEARER = 0.15  # by which the correlation has to be better there than without
+_CLEARER = 3.0  # by which what the sources do not have in common has to be less there than without
 _UNITS = {"its sign": -1.0, "degrees": 180.0 / np.pi, "degrees and its sign": -180.0 / np.pi}
 
 
@@ -296,7 +297,8 @@ def _delay(a: Motions, b: Motions) -> float | None:
     most = int(_LATEST * _RATE)
     alike = np.array([_correlation(x, y, shift) for shift in range(-most, most + 1)])
     best = int(np.argmax(alike))
-    if alike[best] < _AGREE or best in (0, 2 * most) or alike[best] - alike[most] < _CLEARER:
+    apart = 1.0 - alike[best] ** 2, 1.0 - max(alike[most], 0.0) ** 2
+    if alike[best] < _ALIKE or best in (0, 2 * most) or apart[1] < _CLEARER * apart[0]:
         return None
     left, middle, right = alike[best - 1 : best + 2].tolist()
     delay = (best - most + 0.5 * (left - right) / (left - 2.0 * middle + right)) / _RATE  # the parabola's top

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,8 @@ def read_bag(
         remarks += _take_guesses(sensors["fixes"])
     if "truth" in sensors:
         _keep_truth(sensors["truth"])
+    for sensor in sensors.values():
+        _drop_repeated(sensor)
     stamps, said = clocks.on_one_clock({role: _stamped(sensor) for role, sensor in sensors.items()}, clock)
     remarks += [*_left_out(sensors), *said]
     truth, said = _truth(sensors.pop("truth", None), stamps)
@@ -92,8 +94,8 @@ def read_bag(
     frames = {role: sorted({record.frame for record in made.get(role, ())}) for role in ("lidar", "imu")}
     mounts, missing = tree.mounts(chain(*frames.values()), driven)
     lost = [
-        f"Nothing says where the {role} is mounted ({frame}: {missing[frame]}); it is taken to stand at base_link, looking "
-        f"ahead. Give {role}.mount in the robot's description."
+        f"Nothing says where the {role} is mounted ({frame}: {missing[frame]}); it is taken to stand at base_link, "
+        f"looking ahead. Give {role}.mount in the robot's description."
         for role, sensor in (("lidar", robot.lidar or Lidar()), ("imu", robot.imu))
         for frame in frames[role]
         if frame in missing and sensor is not None and sensor.mount is None
@@ -221,6 +223,21 @@ def _keep_truth(sensor: _Sensor) -> None:
         sensor.keep(headings)
 
 
+def _drop_repeated(sensor: _Sensor) -> None:
+    """Leave out messages that are there twice."""
+    same = [a == b != 0 for a, b in pairwise(sensor.header_ns)]
+    if any(same):
+        twice = [is_one and _is_same(*both) for is_one, both in zip(same, pairwise(sensor.read), strict=True)]
+        sensor.left_out["is equal to the one before, stamp included"] += sum(twice)
+        sensor.keep([True, *(not one for one in twice)])
+
+
+def _is_same(a: Any, b: Any) -> bool:
+    if not (isinstance(a, partial) and isinstance(b, partial)):
+        return False
+    return all(np.array_equal(value, b.keywords[name]) for name, value in a.keywords.items())
+
+
 def _truth(sensor: _Sensor | None, stamps: Mapping[str, np.ndarray]) -> tuple[PoseTrajectory | None, list[str]]:
     if sensor is None or not sensor.read:
         return None, []
@@ -254,8 +271,7 @@ def _records(
         clock = monotone_clock(stamps[role]) if backward else stamps[role]
         if backward:
             remarks.append(_repaired(sensor, backward))
-        header = [ns / 10**9 for ns in sensor.header_ns]
-        recorded |= {c: s for c, s in zip(clock.tolist(), header, strict=True) if c != s and s != 0.0}
+            recorded |= {c: s for c, s in zip(clock.tolist(), stamps[role].tolist(), strict=True) if c != s}
         made[role] = tuple(make(stamp=stamp) for make, stamp in zip(sensor.read, clock.tolist(), strict=True))
     return made, recorded, remarks
 
@@ -274,4 +290,5 @@ def _left_out(sensors: Mapping[str, _Sensor]) -> list[str]:
         f"{count} messages of {sensor.topic.name} cannot be used and were left out: each {why}."
         for sensor in sensors.values()
         for why, count in sensor.left_out.items()
+        if count
     ]

@@ -19,6 +19,7 @@ _LATE = 0.5  # [s] on the way that are worth a remark
 _SET = 0.3  # [s] at least by which a clock is set at once; queues of a busy computer do not stay that long
 _LASTING = 10  # messages on each side of a step that have to agree
 _SAME = 0.1  # [s] within which steps of several topics are one
+_OUTLIER = 0.03  # [s] that a message's way may differ from the usual one
 _MANY_EQUAL = 0.05  # share of stamps equal to the one before, from which a clock is coarse and not a message sent twice
 
 
@@ -45,11 +46,14 @@ def on_one_clock(
         stamps[role] = header
         remarks += said
     timed = {role: one for role, one in topics.items() if len(one.header) and _counts(one.received)}
-    remarks += _joined(timed, stamps)
     remarks += _moved_back(timed, stamps)
+    remarks += _joined(timed, stamps)
     for role, one in topics.items():
         stamps[role], said = _spread(one, stamps[role], role in timed)
         remarks += said
+        if role in timed:
+            stamps[role], said = _steady(one, stamps[role])
+            remarks += said
     return stamps, remarks
 
 
@@ -101,7 +105,7 @@ def common_offset(offsets: Mapping[str, float]) -> float:
 
 
 def is_another(offset: float, usual: float) -> bool:
-    """Whether a clock that is off by `offset` [s] cannot be the one that is off by `usual`, however late messages are."""
+    """Whether a clock that is off by `offset` [s] cannot be one that is off by `usual`, however late messages are."""
     return offset - usual > _AHEAD or offset - usual < -_BEHIND
 
 
@@ -152,10 +156,26 @@ def _moved_back(topics: Mapping[str, Stamped], stamps: dict[str, np.ndarray]) ->
     return remarks
 
 
-def _spread(one: Stamped, stamps: np.ndarray, timed: bool) -> tuple[np.ndarray, list[str]]:
-    """Spread stamps that are equal: over the times of recording where these differ, else evenly up to the next.
+def _steady(one: Stamped, stamps: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Where stamps run backwards, take the times of recording for those that are off the usual way of a message."""
+    backward = int(np.sum(np.diff(stamps) < 0))
+    if not backward:
+        return stamps, []
+    on_way = stamps - one.received
+    usual = float(np.median(on_way))
+    off = np.abs(on_way - usual)
+    bound = max(_OUTLIER, 5.0 * float(np.median(off)))
+    if np.mean(off > bound) > 0.2 or np.any(np.diff(np.where(off > bound, one.received + usual, stamps)) < 0):
+        return stamps, []
+    say = f"{backward} stamps of {one.topic} run backwards; for {np.sum(off > bound)} that are off "
+    return np.where(off > bound, one.received + usual, stamps), [say + "the times of recording were taken."]
 
-    A clock that is read in whole tenths of a second gives them, and readings that are sent in blocks.
+
+def _spread(one: Stamped, stamps: np.ndarray, timed: bool) -> tuple[np.ndarray, list[str]]:
+    """Spread stamps that are equal, which a clock of whole tenths gives, and readings that are sent in blocks.
+
+    Where the times of recording differ they say when the readings were; no stamp is later than the clock. Those of a
+    block are those of its end. Where there are no times of recording it is taken for the clock of whole tenths.
     """
     equal = np.diff(stamps) == 0
     if not equal.any():
@@ -165,14 +185,17 @@ def _spread(one: Stamped, stamps: np.ndarray, timed: bool) -> tuple[np.ndarray, 
         return stamps, [say + "of such messages the first is used."]
     apart = np.diff(one.received)
     if timed and np.mean(apart[equal] > 0.25 * np.median(apart)) > 0.9:
-        return one.received + float(np.median(stamps - one.received)), [say + "the times of recording are taken."]
+        return one.received + float(np.max(stamps - one.received)), [say + "the times of recording were taken."]
     starts = np.flatnonzero(np.concatenate(([True], ~equal)))
     sizes = np.diff(np.append(starts, len(stamps)))
     steps = np.diff(stamps[starts], append=np.nan)
     steps[-1] = np.median(steps[:-1]) if len(steps) > 1 else 0.0
     within = np.arange(len(stamps)) - np.repeat(starts, sizes)
+    if timed:  # blocks
+        steps = np.append(steps[:1], steps[:-1])
+        within = within + 1 - np.repeat(sizes, sizes)
     spread = stamps + within / np.repeat(sizes, sizes) * np.repeat(np.maximum(steps, 0.0), sizes)
-    return spread, [say + "they were spread evenly up to the next one."]
+    return spread, [say + ("they were spread over the time since the one before." if timed else "they were spread.")]
 
 
 def _seconds(value: float) -> str:

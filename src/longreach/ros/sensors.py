@@ -121,8 +121,8 @@ class Sensors:
         offset = self._offsets.setdefault(role, stamp - wire.now())
         usual = clocks.common_offset(self._offsets)
         if clocks.is_another(offset, usual):
-            say = f"{self.topic(role)} is on another clock: its stamps are {offset - usual:.3f} s off those of the others."
-            return self._no(role, say)
+            off = f"its stamps are {offset - usual:.3f} s off those of the other topics."
+            return self._no(role, f"{self.topic(role)} is on another clock: {off}")
         record = make(stamp=stamp)
         with self._lock:
             newest = self._newest.get(role, -1.0)
