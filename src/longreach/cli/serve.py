@@ -40,7 +40,7 @@ def command(
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import show_log, shown_progress
     from longreach.cli.tokens import WATCHER_TOKEN, read_token
-    from longreach.io.bag_writer import check_new_bag
+    from longreach.io.bag_recorder import check_recording
     from longreach.io.robots import load_robot
     from longreach.io.whole_files import check_place
     from longreach.live.protocol.transport import server_settings
@@ -55,7 +55,7 @@ def command(
     server_settings(address, token, certificates, watcher_token)
     place = _world(hardware, loaded, world, floor)
     if record is not None:
-        check_new_bag(record)
+        check_recording(record)
         check_place(record)
     show_log()  # what is wrong with the options has been said before anything that takes time
     with shown_progress() as progress:

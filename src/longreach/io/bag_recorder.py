@@ -18,6 +18,14 @@ _WAITING = 20_000  # messages that the disk has not taken yet; about 20 s of a r
 _LOG = logging.getLogger("longreach.recorder")
 
 
+def check_recording(path: Path) -> None:
+    """Raise a RecordingError where what a robot says cannot be recorded under this name."""
+    if path.suffix != ".mcap":
+        raise RecordingError(f"Nothing can be recorded into {path}: end it with .mcap.")
+    if path.is_dir():
+        raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
+
+
 class Recorder:
     """Writes a new MCAP in a thread of its own: whoever gives it messages never waits for the disk.
 
@@ -31,10 +39,7 @@ class Recorder:
     """
 
     def __init__(self, path: Path) -> None:
-        if path.suffix != ".mcap":
-            raise RecordingError(f"Nothing can be recorded into {path}: end it with .mcap.")
-        if path.is_dir():
-            raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
+        check_recording(path)
         self.path, self.error = path, ""
         self.ended: Callable[[], None] = lambda: None
         self._hidden = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.mcap")  # before the first messages
