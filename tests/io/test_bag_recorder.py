@@ -70,6 +70,24 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(tmp_path):
         Recorder(tmp_path / "file" / "run.mcap")
 
 
+@pytest.mark.parametrize("what", ["header", "temporary file"])
+def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_no_file(tmp_path, monkeypatch, what):
+    class Full(FileIO):
+        def write(self, data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def full(dir):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if what == "header":
+        monkeypatch.setattr(mcap_file, "FileIO", Full)
+    else:
+        monkeypatch.setattr(mcap_file.tempfile, "TemporaryFile", full)
+    with pytest.raises(RecordingError, match=r"run\.mcap cannot be written: No space left on device\."):
+        Recorder(tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_on_a_full_disk_the_recording_ends_with_one_sentence_and_stays_readable(tmp_path, monkeypatch, caplog):
     class Full(FileIO):
         def write(self, data):

@@ -5,6 +5,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -50,6 +51,8 @@ class Recorder:
             self._file = McapWriter(self._hidden)
             self._bag = BagWriter(self._file)
         except OSError as error:
+            with suppress(OSError):  # where there is no folder there is no file
+                self._hidden.unlink()
             raise RecordingError(f"{path} cannot be written: {error.strerror or error}.") from error
         self._thread = Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
