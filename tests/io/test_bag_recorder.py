@@ -88,6 +88,34 @@ def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_no_file(tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_disk_that_takes_nothing_but_the_start_leaves_nothing_and_nothing_is_said_to_be_readable(
+    tmp_path, monkeypatch
+):
+    class Full(FileIO):
+        def write(self, data):
+            if self.tell() > 0:  # behind the file's header
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)
+
+    monkeypatch.setattr(mcap_file, "FileIO", Full)
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        write(recorder, 20)
+    assert recorder.error == f"{path} cannot be written any more: No space left on device. Nothing was recorded."
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_cannot_be_put_in_its_place_says_where_it_is(tmp_path):
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        path.mkdir()
+        write(recorder, 20)
+    (hidden,) = tmp_path.glob(".run.*.mcap")
+    assert recorder.error.startswith(f"{path} cannot be written any more: ")
+    assert recorder.error.endswith(f" What was recorded before can be read in {hidden}.")
+    assert inspect(hidden).topics[0].count == 20
+
+
 def test_on_a_full_disk_the_recording_ends_with_one_sentence_and_stays_readable(tmp_path, monkeypatch, caplog):
     class Full(FileIO):
         def write(self, data):

@@ -40,6 +40,7 @@ def command(
     from longreach.app.warmup import warm_up
     from longreach.cli.progress import show_log, shown_progress
     from longreach.cli.tokens import WATCHER_TOKEN, read_token
+    from longreach.errors import RecordingError
     from longreach.io.bag_recorder import check_recording
     from longreach.io.robots import load_robot
     from longreach.io.whole_files import check_place
@@ -67,13 +68,15 @@ def command(
     apply_realtime_settings()
 
     with counted(rejections):
-        rhythm = serve(
+        rhythm, wrong = serve(
             body, wait_until, loaded, described(robot), ServerConfig(address, token, certificates, watcher_token),
             _ended(duration), record=record, scans=scans, obstacles=obstacles, rejections=rejections,
             ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)
-    if record is not None and record.exists():
+    if wrong:
+        raise RecordingError(wrong)
+    if record is not None:
         typer.echo(f"The recording is {record}.")
 
 

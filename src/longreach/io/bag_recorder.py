@@ -76,13 +76,19 @@ class Recorder:
                     self._put_in_place()
         except Exception as error:  # whatever it is, the robot goes on
             reason = error.strerror if isinstance(error, OSError) else error
-            self.error = f"{self.path} cannot be written any more: {reason}. What was recorded before can be read."
+            self.error = f"{self.path} cannot be written any more: {reason}. {self._kept()}"
             _LOG.error(self.error)
         if not self._file.count:
             self._hidden.unlink(missing_ok=True)
             self.error = self.error or "Nothing was recorded: no message has come."
         if self._lost:
             _LOG.warning("%s lacks %d messages that the disk was too slow for.", self.path, self._lost)
+
+    def _kept(self) -> str:
+        if not self._file.count:
+            return "Nothing was recorded."
+        where = f" in {self._hidden}" if self._hidden.exists() else ""
+        return f"What was recorded before can be read{where}."
 
     def _write_all(self) -> None:
         """Write what comes until there is a None, and a chunk every while."""
