@@ -31,7 +31,8 @@ class Recorder:
     """Writes a new MCAP in a thread of its own: whoever gives it messages never waits for the disk.
 
     The file is in its place from the first messages on, and replaces another one only then. Its end is written when the
-    recorder is closed. Where it cannot be written any more, `error` and the log say why, and it stays as it is.
+    recorder is closed. Where it cannot be written any more, `error` and the log say why, and it stays as it is; what it
+    lacks they say once it is closed.
 
     ended: is called when the recorder is closed.
 
@@ -82,7 +83,9 @@ class Recorder:
             self._hidden.unlink(missing_ok=True)
             self.error = self.error or "Nothing was recorded: no message has come."
         if self._lost:
-            _LOG.warning("%s lacks %d messages that the disk was too slow for.", self.path, self._lost)
+            lost = f"{self.path} lacks {self._lost} messages that the disk was too slow for."
+            self.error = f"{self.error} {lost}".strip()
+            _LOG.warning(lost)
 
     def _kept(self) -> str:
         if not self._file.count:
