@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from longreach.cli.tokens import WATCHER_TOKEN, read_token
+from longreach.cli.options import WATCHER_TOKEN, read_token
 from longreach.errors import ConfigError
 
 
@@ -61,6 +61,8 @@ def test_no_token_is_taken_on_the_command_line(run, verb):
         (["--floor", "icy"], "A floor is one of good, worn, wet, slippery, or a friction above 0, but not 'icy'."),
         (["--hardware", "kinematic", "--floor", "wet"], "A kinematic robot slips alike on every floor"),
         (["--hardware", "ros", "--world", "office"], "A robot of ROS has a world and a floor of its own"),
+        (["--hardware", "ros", "--seed", "0"], "Nothing of a robot of ROS is random here; leave out --seed."),
+        (["--no-scans"], "A robot with physics has its laser always; take --hardware kinematic, or leave out"),
         (["--address", "0.0.0.0:7447"], "can be reached from other machines: give --certificates"),
         (["--address", "nowhere"], "write it as host:port"),
         (["--certificates", "nowhere"], "The folder of certificates nowhere has no server.key."),

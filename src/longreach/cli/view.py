@@ -17,11 +17,13 @@ def command(
     ),
     certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
     open: bool = typer.Option(False, "--open", help="Open the page in this machine's browser."),
-    duration: float | None = typer.Option(None, min=0.0, help="End after so many seconds; else when interrupted."),
+    duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
 ) -> None:
     """Show a recorded run, or a robot over the network, in the browser."""
+    from longreach.cli.options import check_duration, read_token
     from longreach.errors import ConfigError
 
+    check_duration(duration)
     if (recording is None) == (connect is None):
         raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
     if export is None:
@@ -33,8 +35,6 @@ def command(
     if recording is not None:
         _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:
-        from longreach.cli.tokens import read_token
-
         _show_robot(connect, read_token(token_file), certificates, port, open, duration)
 
 
