@@ -83,6 +83,12 @@ _WRONG = {
         ("run.bag --duration nan", "--duration is nan; give a number of seconds"),
         ("run.bag --duration inf", "--duration is inf; give a number of seconds"),
         ("run.bag --export a.txt/run.html", "cannot be written"),
+        ("run.bag --export folder", "folder is a folder; give a file for the scene, as folder/run.html."),
+        ("run.bag --token-file token", "--token-file and --certificates are for a robot's network"),
+        ("run.bag --certificates folder", "--token-file and --certificates are for a robot's network"),
+        ("--connect 127.0.0.1:7447 --export run.html", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --robot thing", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --estimate folder", "--export, --robot and --estimate are for a recording"),
     ],
 }  # fmt: skip
 
@@ -103,6 +109,7 @@ def nothing_begins(monkeypatch, tmp_path):
         monkeypatch.setattr(name, begin)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.txt").write_text("a file")
+    (tmp_path / "folder").mkdir()
 
 
 @pytest.mark.usefixtures("nothing_begins")
