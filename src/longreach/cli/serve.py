@@ -119,7 +119,7 @@ def _say_how_it_was(rhythm: Any, rejections: Any) -> None:
         median, high = (1e3 * durations.percentile(p) for p in (50, 99))
         longest = 1e3 * durations.worst
         typer.echo(f"{what} {median:.1f} ms (median), {high:.1f} ms (99th percentile), {longest:.1f} ms at most.")
-    typer.echo(f"{rhythm.late} of {rhythm.ticks} ticks were more than 1 ms late.")
+    typer.echo(f"{rhythm.late} of {rhythm.ticks} ticks were more than {1e3 * rhythm.tolerance:g} ms late.")
     for why, count in sorted(rejections.counts.items()):
         typer.echo(f"Refused {count}: {why}.")
 
