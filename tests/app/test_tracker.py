@@ -77,7 +77,7 @@ def _tools(thing, run):
 
 
 def _within_limits(hardware):
-    """Whether speeds and their changes from one command to the next are what the robot capabilities, base and arm."""
+    """Whether speeds and their changes from one command to the next are what the robot can do, base and arm."""
     capabilities = hardware.capabilities
     arm = np.array([c.arm for c in hardware.written])
     stamps = np.array([c.stamp for c in hardware.written])

@@ -54,7 +54,9 @@ _WRONG = {
         ("--address 127.0.0.1:0", "a port is a number from 1 to 65535"),
         ("--address here", "write it as host:port"),
         ("--seed -1", "--seed"),
-        ("--duration -1", "--duration"),
+        ("--duration -1", "--duration is -1; give a number of seconds"),
+        ("--duration nan", "--duration is nan; give a number of seconds"),
+        ("--duration inf", "--duration is inf; give a number of seconds"),
         ("--record a.txt/run.mcap", "cannot be written"),
     ],
     "connect": [
@@ -65,7 +67,9 @@ _WRONG = {
         ("--tool-by 1", "--tool-by takes 3 numbers"),
         ("--move-to home", "--move-to takes numbers"),
         ("--plan nowhere.csv", "nowhere.csv"),
-        ("--duration -1", "--duration"),
+        ("--duration -1", "--duration is -1; give a number of seconds"),
+        ("--duration nan", "--duration is nan; give a number of seconds"),
+        ("--duration inf", "--duration is inf; give a number of seconds"),
     ],
     "view": [
         ("", "Give either a recording"),
@@ -75,8 +79,16 @@ _WRONG = {
         ("--connect 127.0.0.1:99999", "a port is a number from 1 to 65535"),
         ("--connect here", "write it as host:port"),
         ("a.txt --robot moon", "moon is neither a robot"),
-        ("run.bag --duration -1", "--duration"),
+        ("run.bag --duration -1", "--duration is -1; give a number of seconds"),
+        ("run.bag --duration nan", "--duration is nan; give a number of seconds"),
+        ("run.bag --duration inf", "--duration is inf; give a number of seconds"),
         ("run.bag --export a.txt/run.html", "cannot be written"),
+        ("run.bag --export folder", "folder is a folder; give a file for the scene, as folder/run.html."),
+        ("run.bag --token-file token", "--token-file and --certificates are for a robot's network"),
+        ("run.bag --certificates folder", "--token-file and --certificates are for a robot's network"),
+        ("--connect 127.0.0.1:7447 --export run.html", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --robot thing", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --estimate folder", "--export, --robot and --estimate are for a recording"),
     ],
 }  # fmt: skip
 
@@ -97,6 +109,7 @@ def nothing_begins(monkeypatch, tmp_path):
         monkeypatch.setattr(name, begin)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.txt").write_text("a file")
+    (tmp_path / "folder").mkdir()
 
 
 @pytest.mark.usefixtures("nothing_begins")

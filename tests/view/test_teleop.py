@@ -226,7 +226,7 @@ def test_a_recording_that_cannot_go_on_ends_and_the_page_says_why(teleop, monkey
     teleop.record()
     teleop._recorder.error = "run.mcap cannot be written any more: No space left on device."
     teleop.show()
-    assert said[-1][0] == "The recording has ended early"
+    assert said[-1][0] == "The recording is not whole"
     assert "No space left" in said[-1][1]
     assert teleop.record_button.label == "Record"
 

@@ -57,8 +57,8 @@ class McapWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = FileIO(path, "x")
         self._chunk_indices = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115
+        self._file = FileIO(path, "x")
         self._size = self._chunks = 0
         self._schemas: dict[str, bytes] = {}  # the records, by the names of types
         self._channels: list[bytes] = []
@@ -70,7 +70,7 @@ class McapWriter:
             self._append(MCAP_MAGIC + _record(_HEADER, _sized(b"ros2"), _sized(b"longreach")))
         except OSError:
             self._file.close()
-            path.unlink(missing_ok=True)
+            self._chunk_indices.close()
             raise
 
     def _clear(self) -> None:

@@ -178,7 +178,7 @@ class Teleop:
         self.record_button.label, self.record_button.color = "Record", "gray"
         recorder.close()
         if recorder.error:
-            self._tell("The recording has ended early", recorder.error)
+            self._tell("The recording is not whole", recorder.error)
         else:
             self._tell(f"Recorded to {recorder.path}", "longreach view shows it again.")
 
