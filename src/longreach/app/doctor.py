@@ -180,7 +180,8 @@ def _without_repeats(scans: tuple[LaserScan, ...]) -> tuple[tuple[LaserScan, ...
 
 def _is_same(a: np.ndarray, b: np.ndarray) -> bool:
     n = len(a)
-    return n == len(b) and a[n // 2] == b[n // 2] and a[n // 3] == b[n // 3] and np.array_equal(a, b, equal_nan=True)
+    alike = n == len(b) and a[n // 2] == b[n // 2] and a[n // 3] == b[n // 3]
+    return bool(alike and np.array_equal(a, b, equal_nan=True))
 
 
 def _blocked(sample: list[LaserScan], unit: float) -> np.ndarray | None:

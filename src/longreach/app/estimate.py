@@ -115,8 +115,8 @@ def estimate(
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
     remarks = (*recording.remarks, *found, *contradictions, *_remarks(wheels, done), *evaluation.remarks)
-    if doubtful := plausibility.verdict(done.output.corrections):
-        remarks = (doubtful, *remarks)
+    if unsure := plausibility.verdict(done.output.corrections):
+        remarks = (unsure, *remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
 

@@ -186,12 +186,12 @@ def _odd_one(turns: Mapping[_Pair, _Ratio | None], wrong: set[_Pair], said: Mapp
     Scans that match each other are evidence of their own, so of two sources it is not the LIDAR; a gyro knows its own
     scale better than wheels, which scrub.
     """
-    blamed = {name: sum(name in pair for pair in wrong) for name in said}
+    accused = {name: sum(name in pair for pair in wrong) for name in said}
     right = {pair for pair, ratio in turns.items() if ratio is not None and pair not in wrong}
     known = len(said) == 3 and len(right) == 1 and len(wrong) == 2
     order: tuple[Name, ...] = ("wheels", "imu", "lidar")
-    source = max(order, key=lambda name: blamed.get(name, -1))
-    if not known and len(said) == 3 and blamed.get("imu", 0) > blamed.get("wheels", 0):
+    source = max(order, key=lambda name: accused.get(name, -1))
+    if not known and len(said) == 3 and accused.get("imu", 0) > accused.get("wheels", 0):
         source = "imu"
     pair = next(pair for pair in sorted(wrong) if source in pair)
     ratio = turns[pair]
@@ -273,9 +273,9 @@ def _late(said: Mapping[Name, Motions]) -> Fault | None:
     off = {pair: delay for pair, delay in delays.items() if delay is not None}
     if not off:
         return None
-    blamed = {name: sum(name in pair for pair in off) for name in said}
+    accused = {name: sum(name in pair for pair in off) for name in said}
     order: tuple[Name, ...] = ("lidar", "imu", "wheels")
-    source = max(order, key=lambda name: blamed.get(name, -1))
+    source = max(order, key=lambda name: accused.get(name, -1))
     pair = next(pair for pair in sorted(off) if source in pair)
     delay = off[pair] if pair[0] == source else -off[pair]
     other = NAMES[pair[1] if pair[0] == source else pair[0]]

@@ -184,7 +184,7 @@ def _spread(one: Stamped, stamps: np.ndarray, timed: bool) -> tuple[np.ndarray, 
     if equal.mean() < _MANY_EQUAL:
         return stamps, [say + "of such messages the first is used."]
     apart = np.diff(one.received)
-    if timed and np.mean(apart[equal] > 0.25 * np.median(apart)) > 0.9:
+    if timed and np.mean(apart[equal] > 0.25 * np.mean(apart)) > 0.9:
         return one.received + float(np.max(stamps - one.received)), [say + "the times of recording were taken."]
     starts = np.flatnonzero(np.concatenate(([True], ~equal)))
     sizes = np.diff(np.append(starts, len(stamps)))
