@@ -37,7 +37,10 @@ _WIDER = 3.0  # the fixes are smoothed as well, so what they say of the start is
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimation gives: trajectories by name, what they are worth, the matches and corrections behind them."""
+    """What an estimation gives: trajectories by name, what they are worth, the matches and corrections behind them.
+
+    verdict: by its own innovations, where its covariance does not hold, a sentence; "" where it does.
+    """
 
     recording: Recording
     robot: RobotDescription
@@ -45,6 +48,7 @@ class Estimate:
     matches: Sequence[ScanMatch]
     corrections: Sequence[Correction]
     evaluation: Evaluation
+    verdict: str = ""
 
     @property
     def trajectories(self) -> Mapping[str, PoseTrajectory]:
@@ -60,8 +64,8 @@ class Estimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was repaired, left out or refused, a sentence each."""
-        return self.evaluation.remarks
+        """What was repaired, left out or refused, a sentence each; the first one where the covariance does not hold."""
+        return (self.verdict, *self.evaluation.remarks) if self.verdict else self.evaluation.remarks
 
     @property
     def lidar_measurements(self) -> tuple[RelativePoseMeasurement, ...]:
@@ -115,10 +119,9 @@ def estimate(
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
     remarks = (*recording.remarks, *found, *contradictions, *_remarks(wheels, done), *evaluation.remarks)
-    if unsure := plausibility.verdict(done.output.corrections):
-        remarks = (unsure, *remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
-    return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
+    verdict = plausibility.verdict(done.output.corrections)
+    return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation, verdict)
 
 
 class _Done(NamedTuple):

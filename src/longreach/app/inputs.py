@@ -1,6 +1,6 @@
 """What a command line names, read and checked: a recording, a robot, settings, references."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 from longreach.app.configuration import EstimateConfig
 from longreach.app.evaluate import Relations
 from longreach.errors import ConfigError
-from longreach.io.config import load_description, read_config, validated
+from longreach.io.config import assuming, load_description, read_config, validated
 from longreach.io.recording import read_poses, read_recording
 from longreach.io.relations import read_relations
 from longreach.measurement import PoseMeasurement, Recording
@@ -43,14 +43,16 @@ def open_run(
     fix_period: float = 0.0,
     smooth: bool = False,
     compare: bool = False,
+    assume: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Run:
     """Read everything, the small files first, so that what is wrong with them is said at once.
 
     Arguments: truth: a file, or else a topic of the recording. sources: names with commas between. fixes: positions in
-    a file, taken no more often than every `fix_period` [s] with a standard deviation of `fix_sigma` [m].
+    a file, taken no more often than every `fix_period` [s] with a standard deviation of `fix_sigma` [m]. assume: keys
+    of the description that the recording cannot say, as NAME=VALUE.
     """
-    description = load_description(robot)
+    description = assuming(load_description(robot), assume)
     settings = read_config(config, EstimateConfig) if config is not None else EstimateConfig()
     if sources is not None:
         names = [name.strip() for name in sources.split(",") if name.strip()]

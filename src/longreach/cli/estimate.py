@@ -6,6 +6,7 @@ from typing import Any
 import typer
 
 from longreach.cli import estimate_in_space
+from longreach.cli.options import ASSUME
 from longreach.cli.progress import shown_progress
 from longreach.cli.tables import print_metrics
 
@@ -26,6 +27,7 @@ def command(
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
     compare: bool = typer.Option(False, "--compare", help="LIDAR odometry alone as well: lidar.tum."),
+    assume: list[str] = ASSUME,
     smooth: bool = typer.Option(False, "--smooth", help="Look back over the whole run as well: smoothed.tum."),
     node: str | None = estimate_in_space.NODE,
     filter: str | None = estimate_in_space.FILTER,
@@ -45,6 +47,7 @@ def command(
             "fix_period": fix_period,
             "smooth": smooth,
             "compare": compare,
+            "assume": assume,
         }
         _run(recording, out, settings | planar)
 
@@ -68,7 +71,9 @@ def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
         write_estimate(result, out, progress)
         progress("scene for the report", 0.0)
         add_to_report(out, lambda: of_estimate(result))
+    if result.verdict:
+        typer.echo(result.verdict)
     print_metrics(result.metrics)
-    for remark in result.remarks:
+    for remark in result.evaluation.remarks:
         typer.echo(f"note: {remark}")
     typer.echo(f"Everything is in {out}; open {out / 'report.html'}.")

@@ -1,5 +1,6 @@
 """Configuration as YAML: read and checked against a model, written with every key that ran."""
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -110,6 +111,26 @@ def description_file(robot: str | Path) -> Path:
             f"{robot} is neither a robot that longreach knows ({', '.join(shipped_descriptions())}) nor a YAML file."
         )
     return path
+
+
+def assuming(description: RobotDescription, assumptions: Sequence[str]) -> RobotDescription:
+    """Return a description with some of its keys changed, each given as NAME=VALUE: lidar.mount.yaw=3.14159.
+
+    Raises:
+        ConfigError: there is no such key, or it cannot have the value.
+    """
+    values = description.model_dump(exclude_unset=True)
+    for given in assumptions:
+        name, equals, value = given.partition("=")
+        if not (name and equals and value):
+            raise ConfigError(f"{given!r} assumes nothing; give NAME=VALUE, such as lidar.mount.yaw=3.14159.")
+        *above, key = name.split(".")
+        inside = values
+        for part in above:
+            inside[part] = dict(inside.get(part) or {})
+            inside = inside[part]
+        inside[key] = yaml.safe_load(value)
+    return validated(RobotDescription, values, "--assume") if assumptions else description
 
 
 def load_description(robot: str | Path) -> RobotDescription:
