@@ -207,3 +207,13 @@ def test_a_flood_of_refusals_is_told_in_one_line_a_second(caplog):
     assert rejections.total == 1000
     assert len(caplog.records) == 2
     assert "1000" in caplog.records[-1].getMessage()
+
+
+def test_reasons_that_are_all_different_do_not_fill_memory_and_log(caplog):
+    """Who holds the robot has a name in such a reason, and where a plan begins is a number."""
+    rejections = RejectionCounts()
+    for i in range(10_000):
+        rejections.count(f"The plan begins {i} m away from where the robot is; plan from there.", "/longreach/execute")
+    assert rejections.total == 10_000
+    assert len(rejections.counts) < 200
+    assert len(caplog.records) < 200
