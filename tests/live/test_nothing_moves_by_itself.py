@@ -303,3 +303,32 @@ def test_a_plan_is_not_begun_where_the_robot_was_asked_for_something_else_while_
     robot.run(0.9)
     assert robot.moved(0.0)[0] == 0.0
     assert robot.listener.plan is None
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_reset_that_was_on_its_way_while_somebody_pressed_stop_anew_is_refused(thing):
+    stops = []
+
+    def script(robot, now):
+        if len(robot.records) % 30 or now > 1.8:
+            return
+        step = len(robot.records) // 30
+        if step == 0:
+            robot.order("take me")
+        elif step in (1, 2):  # a stop, and another one
+            robot.order(f"stop That is number {step}.")
+        elif step == 3:
+            stops.extend(r.tick.stop.since for r in (robot.records[-31], robot.records[-1]))
+            robot.order(f"reset {stops[0]:.6f}")
+        elif step == 4:
+            assert robot.records[-1].tick.stop.reason == "That is number 2."
+            robot.order(f"reset {stops[1]:.6f}")
+        elif step == 5:
+            assert robot.records[-1].tick.stop is None
+
+    robot = _Robot(thing, script)
+    robot.run(1.4)
+    assert stops[0] < stops[1]
+    assert len(robot.records) > 150
+    (reason,) = robot.listener._authentication.rejections.counts
+    assert reason == "The robot was stopped anew: That is number 2. Look why, then reset it."

@@ -188,6 +188,7 @@ class Listener:
                 return ""
             self._check_holder(about)
             if word == "reset":
+                self._check_stop(rest)
                 self._set(goal=Hold(), gripper=None, reset=True)  # what came before it does not count after it
             elif word in ("hold", "release"):
                 self._set(goal=Hold())
@@ -197,6 +198,16 @@ class Listener:
             if word == "release":
                 self.holder = Holder()
         return ""
+
+    def _check_stop(self, since: str) -> None:
+        """Refuse a reset of another stop than the robot's: somebody has pressed stop while it was on its way.
+
+        since: of the stop that its sender sees, as the status has it; empty: it is for any.
+        """
+        record = self._record()
+        stop = None if record is None else record.tick.stop
+        if since and stop is not None and stop.latched and since != f"{stop.since:.6f}":
+            raise LiveError(f"The robot was stopped anew: {stop.reason} Look why, then reset it.")
 
     def _give(self, about: MessageHeader, name: str) -> None:
         if self.holder.sender not in (b"", about.sender):
