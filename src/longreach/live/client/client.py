@@ -361,10 +361,18 @@ class Client:
         self._connection.order("hold")
 
     def stop(self, reason: str = "The client says stop.") -> None:
-        """Brake at once, whoever holds the robot; it stays so until `reset`."""
-        before = self._since
+        """Brake at once, whoever holds the robot; it stays so until `reset`.
+
+        Raises:
+            LiveError: the robot does not answer, or does not say within 1 s that it is stopped.
+        """
+        before, subscriber = self._since, self._subscriber
         self._connection.order(f"stop {reason}")
-        self._subscriber.wait(lambda: self._latched and self._since != before, _CONFIRMED)
+        stopped = subscriber.wait(lambda: self._latched and self._since != before, _CONFIRMED)
+        if not stopped and not subscriber.is_this_thread():  # a callback's thread cannot wait
+            raise LiveError(
+                f"The robot has not said within {_CONFIRMED:g} s that it is stopped; use its own red button."
+            )
 
     def reset(self) -> None:
         """Let the robot move again after a stop that holds.
