@@ -151,7 +151,8 @@ def step(
     innovations = tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused")
     commanded, contact = state.commanded, state.contact
     if "wheels" in state.gate.config.stale_after:
-        commanded = se2.compose(commanded, se2.exp((now - state.stamp) * state.gate.twist))
+        lasted = min(now - state.stamp, config.safety.command_timeout)  # beyond it a driver stops by itself
+        commanded = se2.compose(commanded, se2.exp(lasted * state.gate.twist))
         contact = base_contact.step(contact, now, commanded, where.now.dead_reckoned, belief.pose)
     health = Health(innovations, heartbeat, belief.pose, contact.reason)
     gate, command = safety.step(state.gate, desired, readings, health, now)  # guard
@@ -171,16 +172,19 @@ def step(
         commanded=commanded,
         contact=contact,
     )
-    return _ended_early(after), command, tick
+    return _ended_early(after, state.stamp), command, tick
 
 
-def _ended_early(state: TrackerState) -> TrackerState:
-    """Return the state without a goal that must not go on by itself: after a stop, or in front of an obstacle."""
+def _ended_early(state: TrackerState, before: float) -> TrackerState:
+    """Return the state without a goal that must not go on by itself: after a stop, or in front of an obstacle.
+
+    before: of the tick before [s]: where the loop itself halted, the robot has stood since then.
+    """
     stop, around, now = state.gate.stop, state.gate.obstacles, state.stamp
     blocked = around is not None and around.part < _BLOCKED_PART and isinstance(state.goal, Follow) and stop is None
     since = (state.blocked or now) if blocked else None
     why = ""
-    if stop is not None and (stop.latched or stop.cause == "client gone" or now - stop.since > _HALT):
+    if stop is not None and (stop.latched or stop.cause == "client gone" or now - min(stop.since, before) > _HALT):
         why = stop.reason
     elif around is not None and since is not None and now - since > _BLOCKED:
         why = f"{around.reason} The plan has waited {_BLOCKED:g} s for it to go."

@@ -244,12 +244,16 @@ class Subscriber:
                 taken[kind] = tuple(new.popleft() for _ in range(len(new)))
         return replace(Readings(stamp), **taken)
 
+    def is_this_thread(self) -> bool:
+        """Whether who asks is the thread that hears, and calls back."""
+        return current_thread() is self._thread
+
     def wait(self, ready: Callable[[], _T | None], timeout: float) -> _T | None:
         """Return what `ready` returns as soon as that is something, or None after a time [s].
 
         A callback's thread does not wait: it is the one that hears.
         """
-        until = time.monotonic() + (0.0 if current_thread() is self._thread else timeout)
+        until = time.monotonic() + (0.0 if self.is_this_thread() else timeout)
         with self.changed:
             while not (found := ready()) and (left := until - time.monotonic()) > 0.0:
                 self.changed.wait(min(left, 1.0))  # it cannot wait for ever
