@@ -19,7 +19,8 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim.drive import Motion
 from longreach.sim.worlds import Ways, World
 
-_SPEEDS = (0.7, 1.0)  # [m/s] where it is straight; ours
+TOP_SPEED = 1.0  # [m/s]; ours, a little below the Ridgeback's
+_SPEEDS = (0.7, TOP_SPEED)  # [m/s] where it is straight; ours
 _ACCELERATION = 0.4  # [m/s²] along the path and across it; ours, a sixth of the Ridgeback's
 _TURNING = (1.0, 0.9)  # [rad/s, rad/s²]; ours, below the Ridgeback's 2 and 1
 _ROUND = 0.85  # a corner is rounded from so far before it to so far behind it [m]
@@ -59,9 +60,7 @@ def endless_drive(world: World, seed: int = 0, rate: float = 50.0, piece: float 
     Raises:
         ConfigError: the world has no ways, or none that leads along x from its origin.
     """
-    if world.ways is None:
-        raise ConfigError(f"The world {world.name} has no ways to drive along; take building, storehouse or twins.")
-    ways, rng = world.ways, np.random.default_rng(seed)
+    ways, rng = ways_of(world), np.random.default_rng(seed)
     speed, start, legs = float(rng.uniform(*_SPEEDS)), np.zeros(2), _legs(ways, rng)
     leg, turned = next(legs), 0.0
     while True:
@@ -77,6 +76,17 @@ def endless_drive(world: World, seed: int = 0, rate: float = 50.0, piece: float 
         path = path._replace(heading=path.heading + turned)
         yield timed(path, speed, rate)
         start, turned = end, float(path.heading[-1])
+
+
+def ways_of(world: World) -> Ways:
+    """Return a world's ways.
+
+    Raises:
+        ConfigError: it has none.
+    """
+    if world.ways is None:
+        raise ConfigError(f"The world {world.name} has no ways to drive along; take building, storehouse or twins.")
+    return world.ways
 
 
 def _legs(ways: Ways, rng: np.random.Generator) -> Iterator[_Leg]:
