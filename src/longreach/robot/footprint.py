@@ -9,7 +9,6 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.robot.urdf import Shape
 
 _UNKNOWN = (0.3, 0.25)  # half length and width of a base that nobody describes [m]; of usual indoor bases
-_TYRE = 0.05  # of a wheel beyond its middle, sideways [m]; ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +38,12 @@ class Footprint:
 
 
 def footprint_of(robot: MobileManipulator) -> Footprint:
-    """Return a robot's footprint from its URDF's collision shapes, else from its wheels."""
-    if robot.urdf is None:
-        base = robot.description.base
-        x, y = _UNKNOWN
-        if base is not None and base.kind == "mecanum":
-            x, y = base.half_length + base.wheel_radius, base.half_width + _TYRE
-        elif base is not None:  # round, around its wheels
-            x = y = 0.5 * base.track_width + _TYRE
-        return Footprint(robot, np.array([-x, x, -y, y]), ())
+    """Return a robot's footprint from its URDF's collision shapes; where its base has none, from its wheels."""
     still = np.zeros(robot.dof)
     corners: list[np.ndarray] = []
     links = []
     for name, frame in robot.chain.frames.items():
-        for shape in robot.urdf.links[name].collisions if name in robot.urdf.links else ():
+        for shape in robot.urdf.links[name].collisions if robot.urdf and name in robot.urdf.links else ():
             if shape.kind == "mesh":
                 continue  # a primitive shape beside it is what collides
             a, b, radius = capsule_of(shape)
@@ -61,6 +52,9 @@ def footprint_of(robot: MobileManipulator) -> Footprint:
                 continue
             T = robot.frame(name, still)
             corners += list((_corners(shape) @ T[:3, :3].T + T[:3, 3])[:, :2])
+    if not corners:
+        x, y = _UNKNOWN if robot.description.base is None else robot.description.base.half_size
+        corners = [np.array([-x, -y]), np.array([x, y])]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     return Footprint(robot, np.array([low[0], high[0], low[1], high[1]]), tuple(links))
 
