@@ -8,7 +8,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from longreach.geometry import se3, so3
-from longreach.robot.bases import DifferentialBase, MecanumBase
+from longreach.robot.bases import Base
 from longreach.robot.dh import DhRow
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -175,7 +175,7 @@ class RobotDescription(_Described):
     """One robot: what the estimation of its base has to know, and where its arm is described."""
 
     name: str = Field(description="What the robot is called.")
-    base: Annotated[MecanumBase | DifferentialBase, Field(discriminator="kind")] | None = Field(
+    base: Annotated[Base, Field(discriminator="kind")] | None = Field(
         default=None, description="Wheels; None where the robot's own driver has made poses or twists of them."
     )
     drive: Literal["omnidirectional", "differential"] | None = Field(
@@ -209,4 +209,4 @@ class RobotDescription(_Described):
     @property
     def holonomic(self) -> bool:
         """Whether the base can move sideways."""
-        return self.drive != "differential" if self.base is None else self.base.kind == "mecanum"
+        return self.drive != "differential" if self.base is None else self.base.kind != "differential"

@@ -9,7 +9,6 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.robot.urdf import Shape
 
 _UNKNOWN = (0.3, 0.25)  # half length and width of a base that nobody describes [m]; of usual indoor bases
-_TYRE = 0.05  # of a wheel beyond its middle, sideways [m]; ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +53,10 @@ def footprint_of(robot: MobileManipulator) -> Footprint:
             T = robot.frame(name, still)
             corners += list((_corners(shape) @ T[:3, :3].T + T[:3, 3])[:, :2])
     base = robot.description.base
-    if base is not None and base.kind == "mecanum":
-        x, y = base.half_length + base.wheel_radius, base.half_width + _TYRE
-    elif base is not None:
-        y = 0.5 * base.track_width + _TYRE
-        x = base.wheel_radius if corners else y  # nothing else is known: round, around its wheels
+    if base is not None:
+        x, y = base.half_size
+        if corners and len(base.wheel_names) == 2:
+            x = base.wheel_radius  # the shapes say the rest
     else:
         x, y = (0.0, 0.0) if corners else _UNKNOWN
     corners += [np.array([-x, -y]), np.array([x, y])]
