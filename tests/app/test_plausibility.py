@@ -5,9 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from longreach.app.plausibility import Fault, Motions, fault, mended, verdict
+from longreach.app.plausibility import Fault, Motions, Recent, fault, mended, verdict
+from longreach.estimation.planar.measurement_models import PlanarImu
 from longreach.estimation.planar.state import Correction
-from longreach.measurement import Imu, LaserScan, Odometry, Recording
+from longreach.measurement import Imu, LaserScan, Odometry, Recording, RelativePoseMeasurement
 
 T = np.arange(0.0, 60.0, 0.1)
 
@@ -127,3 +128,22 @@ def test_the_verdict_names_a_covariance_that_does_not_hold_and_where(rng):
     assert re.search(r"NIS 6\d\.\d where 3.0 is right", verdict(corrections(rng, 20.0)))
     late = corrections(rng, 1.0, 500) + [c._replace(stamp=c.stamp + 50.0) for c in corrections(rng, 20.0, 500)]
     assert "in 50% of the run, between 50 s and 100 s" in verdict(late)
+
+
+def test_while_it_runs_a_contradiction_is_found_once_and_goes_when_it_has_gone(rng):
+    """Wheels and a gyro whose sign is wrong for the first two minutes, in steps of a second."""
+    recent, found = Recent(), []
+    t = np.arange(0.0, 400.0, 0.05)
+    rate = 0.5 * np.sin(0.7 * t)
+    for start in range(0, len(t) - 20, 20):
+        events = []
+        for i in range(start, start + 20):
+            step = np.array([0.02, 0.0, 0.05 * rate[i]])
+            events.append(RelativePoseMeasurement(t[i], t[i + 1], step, 1e-6 * np.eye(3), "wheels"))
+            sign = -1.0 if t[i] < 120.0 else 1.0
+            events.append(PlanarImu(t[i + 1], sign * rate[i], None, np.zeros(2), 1e-4))
+        if recent.take((), events, True):
+            found.append((t[start], recent.remark))
+    assert [bool(remark) for _, remark in found] == [True, False]
+    assert found[0][0] < 30.0
+    assert 180.0 <= found[1][0] < 260.0

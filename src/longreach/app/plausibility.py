@@ -5,6 +5,7 @@ little; a swapped wheel, a wrong unit, a mount or a clock makes one differ from 
 covariance covers. What is at fault follows from who agrees with whom.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -34,6 +35,7 @@ _ALIKE = 0.9  # correlation that sources have to reach where their clocks are sa
 _SURE = 5.0  # standard errors beyond those: a false alarm in 2 million runs of independent windows
 _LATE, _LATEST, _RATE = 0.25, 4.0, 20.0  # [s, s, Hz] of clocks that differ
 _CLEARER = 3.0  # by which what the sources do not have in common has to be less there than without
+_LOOKED_AT, _REMEMBERED = 10.0, 120.0  # [s] between looks while it runs, and for how long motions are kept for them
 _UNITS = {"its sign": -1.0, "degrees": 180.0 / np.pi, "degrees and its sign": -180.0 / np.pi}
 
 
@@ -109,6 +111,31 @@ def motions(matches: Sequence[ScanMatch], events: Sequence[Event]) -> dict[Name,
         gaps = np.append(0, np.cumsum(np.diff(stamps) > _WINDOW))
         found["imu"] = Motions(stamps, turns, None, gaps)
     return found
+
+
+class Recent:
+    """The contradictions of the last two minutes while an estimate runs: what has settled is looked at now and then."""
+
+    def __init__(self) -> None:
+        self.remark = ""
+        self._matches: deque[ScanMatch] = deque()
+        self._events: deque[Event] = deque()
+        self._looked = -np.inf
+
+    def take(self, matches: Sequence[ScanMatch], events: Sequence[Event], mount_is_known: bool) -> bool:
+        """Take what has settled; return whether `remark`, the newest contradiction or "", has changed."""
+        self._matches.extend(matches)
+        self._events.extend(events)
+        newest = self._events[-1].stamp if self._events else -np.inf
+        if newest - self._looked < _LOOKED_AT:
+            return False
+        self._looked = newest
+        for kept in (self._matches, self._events):
+            while kept and kept[0].stamp < newest - _REMEMBERED:
+                kept.popleft()
+        found = fault(motions(self._matches, self._events), mount_is_known)
+        before, self.remark = self.remark, "" if found is None else found.remark
+        return (before == "") != (found is None)
 
 
 def _summed(stamps: Sequence[float], twists: Sequence[np.ndarray | None]) -> Motions:
