@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from longreach.io.bag_writer import write_bag
 from longreach.io.tum import write_tum
+from longreach.measurement import Imu
 from longreach.trajectory import PoseTrajectory
 
 
@@ -30,6 +32,25 @@ def test_info_tells_of_a_log(run, tmp_path):
     assert (row[-4], row[-1]) == ("3", "1")
     assert "note: Scans have 30 beams." in answer.out
     assert "note: 1 PARAM lines are not used." in answer.out
+
+
+def test_info_with_a_robot_says_what_is_wrong_or_that_nothing_is(run, tmp_path, bags, made, thing):
+    assert "Nothing is wrong with it" in run("info", bags / "run.mcap", "--robot", "thing").out
+    leaning = tuple(Imu(one.stamp, one.angular_velocity, one.acceleration[[2, 0, 1]]) for one in made.imu)
+    write_bag(tmp_path / "leaning.mcap", made.replace(imu=leaning), thing)
+    assert "note: Gravity leans by 90°" in run("info", tmp_path / "leaning.mcap", "--robot", "thing").out
+
+
+def test_what_is_assumed_takes_the_place_of_what_is_described(run, tmp_path, bags):
+    recording, robot = bags / "run.mcap", ("--robot", "thing")
+    assert "Gravity leans" in run("info", recording, *robot, "--assume", "imu.mount.roll=1.5708").out
+    for assumed, sentence in (
+        ("imu.colour=red", "longreach: --assume: imu.colour is not a key here"),
+        ("imu", "longreach: 'imu' assumes nothing; give NAME=VALUE"),
+    ):
+        answer = run("info", recording, *robot, "--assume", assumed)
+        assert answer.code == 2
+        assert answer.sentence.startswith(sentence)
 
 
 @pytest.mark.parametrize(
