@@ -1,296 +1,313 @@
-"""The mapper: scans and the localizer's path in, a pose graph with loop closures out, as they come."""
+"""The mapper: scans and the localizer's path in; keyframes, loop closures and a solved pose graph out, as they come.
+
+    keyframe   ← scan, where the base has moved enough; its edge from the localizer's path
+    candidates ← old keyframes within 3.5 σ of the relative pose that the graph gives     every metre
+    match      ← joined scans of now in the place of each candidate                       `loop_closure`
+    closure    ← a match in a window too small for an alias, or one that others agree with `consistency`
+    poses      ← robust solution of the graph; closures that it contradicts are withdrawn  `solver`
+
+A recording is a fold of `step`, after which `refined` matches every keyframe to each other pass by it.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from longreach.geometry import se2
-from longreach.mapping import keyframes as kf
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.consistency import Edge, chained, cycle_chi2, largest_clique, reversed_edge
-from longreach.mapping.keyframes import Keyframe
+from longreach.mapping.consistency import Edge, cycle_chi2, largest_clique, reversed_edge
+from longreach.mapping.keyframes import DISTANCE, MATCHER, TURNED, Keyframe, Place, motion_covariance, place_of
+from longreach.mapping.loop_closure import CHI2, Match
 from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, no_edges
 from longreach.mapping.solver import Solved
 from longreach.measurement import LaserScan
-from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry
+from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry, share_of_a_beam
 
-_EVERY = 1.0, math.radians(60.0)  # [m, rad] between keyframes that look for closures
-_APART = 10.0  # [m] of path between the ends of a closure: nearer, the local map of odometry has seen it
+_EVERY = 1.0, math.radians(60.0)  # between keyframes that look for closures [m, rad]
+_ELSEWHERE = 10.0  # [m] of path between the ends of a closure: nearer, odometry's local map has them both
 _REACH = 3.0  # [m] between poses whose scans show the same surfaces
-_TRIED = 3  # places a keyframe is compared with
-_SEPARATE = 8.0  # [m] of path between these
-_AROUND = 5.0  # [m] of path about a keyframe that its local map covers
-_JOINED = 3.0  # [m] of path that is joined to one scan
-_SURE = 0.5  # [m]: a window below this holds no second place that looks the same
-_NEIGHBOURS = 20.0  # [m] of path between closures that confirm each other
-_LONG = 100.0  # [m] of path without a closure, after which it takes three that agree
-_CHI2 = 16.27  # 99.9 % of χ² with 3 degrees of freedom
-_LEAST = 0.3  # agreement of a peak
-_UNIQUE = 0.9  # a second peak above this part of the first makes a place ambiguous
+_TRIED = 3  # candidates of a keyframe,
+_BETWEEN = 8.0  # [m] of path between these
+_AROUND, _BEHIND = 5.0, 3.0  # [m] of path about an old keyframe that make a place, and behind the newest
+_MOST = 20  # keyframes on either side in a place
+_SURE = 0.5 * loop_closure.APART  # [m]: a smaller window has no room for two places that look the same
+_NEIGHBOURS = 20.0  # [m] of path between closures that confirm each other,
+_OTHERS = 20  # the last ones of them
+_LONG = 100.0  # [m] of path without a closure, after which it takes three that agree, else two
+_RECENT = 5.0  # [m] of path after which sure closures are solved at the latest,
+_NEWS = 7.81  # or at a χ² beyond 95 %
+_PLACES = 64  # kept
+_SAMPLES = 8  # keyframes at which it is looked whether new closures put walls where others look through
 
 
-class Closure(NamedTuple):
-    """A place that was found again: keyframes i < j, T_i⁻¹ T_j (3,) with covariance, and what became of it."""
+class PathRow(NamedTuple):
+    """Pose (3,) and covariance (3, 3) of ξ in the frame odom at a stamp [s], as of the localizer."""
 
-    i: int
-    j: int
+    stamp: float
     pose: np.ndarray
     covariance: np.ndarray
-    reason: str
-    sure: bool
-    figures: dict
 
 
 @dataclass(frozen=True, eq=False)
 class MapperState:
-    """What a mapper knows: keyframes, closures with what became of them, and the graph as last solved."""
+    """What a mapper knows.
 
-    T_base_laser: np.ndarray
+    poses (n, 3): of the keyframes on the map. matches: all that were tried; accepted: which of them are closures.
+    solved: the graph as last solved, of the first keyframes; since (3, 3): the covariance of the motion from the last of
+    these to the newest keyframe. waiting: scans whose row has not come. last: the row of the last scan; at_keyframe: of
+    the newest keyframe. way [m]: driven so far. looked: way [m] and heading [rad] of the last search.
+    """
+
+    T_base_laser: Float[np.ndarray, "4 4"]
     keyframes: tuple[Keyframe, ...] = ()
-    poses: tuple[np.ndarray, ...] = ()
-    closures: tuple[Closure, ...] = ()
+    poses: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    matches: tuple[Match, ...] = ()
     accepted: tuple[int, ...] = ()
     solved: Solved | None = None
-    last_row: tuple | None = None
+    since: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.zeros((3, 3)))
+    waiting: tuple[LaserScan, ...] = ()
+    last: PathRow | None = None
+    at_keyframe: PathRow | None = None
     way: float = 0.0
-    sought: float = -math.inf
-    sought_heading: float = 0.0
+    looked: tuple[float, float] = (-math.inf, 0.0)
     geometry: ScanGeometry | None = None
-    covariance_since: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
-    places: dict = field(default_factory=dict)
+    places: dict[int, Place] = field(default_factory=dict)  # a cache: what is in it follows from the keyframes
+
+    @property
+    def T_map_odom(self) -> Float[np.ndarray, "3"]:
+        """Where the frame odom is on the map now: identity before the first keyframe."""
+        if not self.keyframes:
+            return np.zeros(3)
+        return se2.compose(self.poses[-1], se2.inverse(self.keyframes[-1].odom))
+
+    @property
+    def withdrawn(self) -> tuple[int, ...]:
+        """The accepted matches that the graph as last solved gives no weight."""
+        weights = () if self.solved is None else self.solved.weights
+        return tuple(a for a, weight in zip(self.accepted, weights, strict=False) if weight < 0.5)
 
 
-def init(T_base_laser) -> MapperState:
+def init(T_base_laser: Float[np.ndarray, "4 4"]) -> MapperState:
+    """Start before the first scan."""
     return MapperState(T_base_laser)
 
 
-def step(state: MapperState, scan: LaserScan, row) -> MapperState:
-    stamp, pose, P = row
-    last = state.keyframes[-1] if state.keyframes else None
-    way = state.way
-    if state.last_row is not None:
-        moved = se2.between(state.last_row[1], pose)
-        way += math.hypot(moved[0], moved[1])
-    state = replace(state, last_row=row, way=way)
-    if last is not None:
-        moved = se2.between(last.odom, pose)
-        if math.hypot(moved[0], moved[1]) < kf.DISTANCE and abs(moved[2]) < kf.TURNED:
-            return state
+def step(state: MapperState, scans: Iterable[LaserScan], rows: Iterable[PathRow]) -> MapperState:
+    """Take scans, and rows of the localizer's path in the order of their stamps; a scan is used when its row is there."""
+    waiting = [*state.waiting, *scans]
+    by_stamp = {scan.stamp: scan for scan in waiting}
+    for stamp, pose, covariance in rows:
+        if stamp in by_stamp:
+            state = _taken(state, by_stamp[stamp], PathRow(stamp, pose, covariance))
+    newest = -math.inf if state.last is None else state.last.stamp
+    return replace(state, waiting=tuple(scan for scan in waiting if scan.stamp > newest))
+
+
+def _taken(state: MapperState, scan: LaserScan, row: PathRow) -> MapperState:
+    """Take a scan with its row: a keyframe where the base has moved enough, and a search where that is due."""
+    share, motion, way = 0.0, np.zeros(3), state.way
     geometry = state.geometry
     if geometry is None or not same_kind(scan, geometry):
         geometry = scan_geometry(scan, state.T_base_laser, 5)
-    features = loop_closure._matcher().features(scan, geometry, np.zeros(3), 0.0)
-    if last is None:
-        C, at = 1e-9 * np.eye(3), pose
-    else:
-        C = kf.motion_covariance((last.odom, state.places["P"]), (pose, P), way - last.way)
-        at = se2.compose(state.poses[-1], moved)
-    state.places["P"] = P
-    k = Keyframe(stamp, pose, C, way, features)
-    state = replace(state, keyframes=(*state.keyframes, k), poses=(*state.poses, at), geometry=geometry)
-    if last is not None:
-        A = se2.adjoint(se2.inverse(moved))
-        state = replace(state, covariance_since=A @ state.covariance_since @ A.T + C)
-    else:
-        state = _solve(state)
-    turned = abs(float(se2.between(np.array([0, 0, state.sought_heading]), np.array([0, 0, pose[2]]))[2]))
-    if way - state.sought < _EVERY[0] and turned < _EVERY[1]:
+    if state.last is not None:
+        moved = se2.between(state.last.pose, row.pose)
+        way += math.hypot(moved[0], moved[1])
+        share = share_of_a_beam(scan, row.stamp - state.last.stamp)
+        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ se2.log(moved)
+    state = replace(state, last=row, way=way, geometry=geometry)
+    if state.at_keyframe is not None:
+        moved = se2.between(state.at_keyframe.pose, row.pose)
+        if math.hypot(moved[0], moved[1]) < DISTANCE and abs(moved[2]) < TURNED:
+            return state
+    state = _with_keyframe(state, row, MATCHER.features(scan, geometry, motion, share))
+    turned = abs(math.remainder(row.pose[2] - state.looked[1], 2 * math.pi))
+    if way - state.looked[0] < _EVERY[0] and turned < _EVERY[1]:
         return state
-    state = replace(state, sought=way, sought_heading=pose[2])
-    return _looked(state)
+    return _looked(replace(state, looked=(way, float(row.pose[2]))))
 
 
-def graph_of(state: MapperState) -> PoseGraph:
-    K = state.keyframes
-    n = len(K)
-    od = np.array([k.odom for k in K])
-    odometry = Edges(np.arange(n - 1), np.arange(1, n), se2.between(od[:-1], od[1:]), np.array([k.covariance for k in K[1:]]).reshape(-1, 3, 3))
-    found = [state.closures[a] for a in state.accepted]
-    closures = edges_of(found)
-    return PoseGraph(np.array(state.poses), odometry, closures)
+def _with_keyframe(state: MapperState, row: PathRow, features) -> MapperState:
+    before = state.at_keyframe
+    if before is None:
+        first = Keyframe(row.stamp, row.pose, np.diag([1e-6] * 3), state.way, features)
+        return _solved(replace(state, keyframes=(first,), poses=row.pose[None].copy(), at_keyframe=row))
+    moved = se2.between(before.pose, row.pose)
+    covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
+    A = se2.adjoint(se2.inverse(moved))
+    return replace(
+        state,
+        keyframes=(*state.keyframes, Keyframe(row.stamp, row.pose, covariance, state.way, features)),
+        poses=np.concatenate([state.poses, se2.compose(state.poses[-1], moved)[None]]),
+        at_keyframe=row,
+        since=A @ state.since @ A.T + covariance,
+    )
 
 
-def edges_of(found: Sequence[Closure]) -> Edges:
-    if not found:
+def ways(keyframes: Sequence[Keyframe]) -> Float[np.ndarray, " n"]:
+    """Return the way [m] at each keyframe."""
+    return np.array([k.way for k in keyframes])
+
+
+def odometry_edges(keyframes: Sequence[Keyframe]) -> Edges:
+    """Return the edges from each keyframe to the next."""
+    n, odom = len(keyframes), np.array([k.odom for k in keyframes])
+    covariance = np.array([k.covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
+    return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
+
+
+def closure_edges(matches: Sequence[Match]) -> Edges:
+    """Return matches as edges."""
+    if not matches:
         return no_edges()
-    return Edges(np.array([c.i for c in found]), np.array([c.j for c in found]), np.array([c.pose for c in found]), np.array([c.covariance for c in found]))
+    return Edges(*(np.array([getattr(m, name) for m in matches]) for name in ("i", "j", "pose", "covariance")))
 
 
-def _solve(state: MapperState) -> MapperState:
-    graph = graph_of(state)
+def _solved(state: MapperState) -> MapperState:
+    """Solve the graph; robustly, where a closure is off by more than 99.9 %."""
+    closures = closure_edges([state.matches[a] for a in state.accepted])
+    graph = PoseGraph(state.poses, odometry_edges(state.keyframes), closures)
     solved = solver.optimize(graph)
-    if len(solved.closure_chi2) and np.max(solved.closure_chi2) > _CHI2:
+    if np.any(solved.closure_chi2 > CHI2):
         solved = solver.optimize_robust(graph)
-    return replace(state, solved=solved, poses=tuple(solved.poses), covariance_since=np.zeros((3, 3)))
+    return replace(state, solved=solved, poses=solved.poses, since=np.zeros((3, 3)))
 
 
-def odometry_between(state: MapperState, i: int, j: int) -> Edge:
-    if i > j:
-        return reversed_edge(odometry_between(state, j, i))
-    K = state.keyframes
+def odometry_between(keyframes: Sequence[Keyframe], i: int, j: int) -> Edge:
+    """Return keyframe j seen from keyframe i by odometry alone, with its covariance."""
     if i == j:
         return np.zeros(3), np.zeros((3, 3))
-    to = se2.between(np.array([k.odom for k in K[i + 1 : j + 1]]), np.broadcast_to(K[j].odom, (j - i, 3)))
-    A = adjoints(se2.between(to, np.zeros((j - i, 3))))
-    S = np.array([k.covariance for k in K[i + 1 : j + 1]])
-    return se2.between(K[i].odom, K[j].odom), np.einsum("kab,kbc,kdc->ad", A, S, A)
+    if i > j:
+        return reversed_edge(odometry_between(keyframes, j, i))
+    odom = np.array([k.odom for k in keyframes[i + 1 : j + 1]])
+    A = adjoints(se2.between(np.broadcast_to(odom[-1], odom.shape), odom))
+    S = np.array([k.covariance for k in keyframes[i + 1 : j + 1]])
+    return se2.between(keyframes[i].odom, odom[-1]), np.einsum("kab,kbc,kdc->ad", A, S, A)
 
 
-def _candidates(state: MapperState):
-    """Return old keyframes with the relative pose and covariance that the graph gives, nearest first."""
-    j, K = len(state.keyframes) - 1, state.keyframes
-    way = np.array([k.way for k in K])
-    old = np.flatnonzero(way < way[j] - _APART)
-    s = len(state.solved.poses) - 1
-    old = old[old <= s]
-    if len(old) == 0:
-        return []
-    poses = np.array(state.poses)
-    S = solver.relative_covariances(state.solved, old, np.full(len(old), s))
-    tail = se2.between(poses[s], poses[j])
-    A = se2.adjoint(se2.inverse(tail))
-    S = A @ S @ A.T + state.covariance_since
-    back = se2.between(np.broadcast_to(poses[j], (len(old), 3)), poses[old])
-    d = np.hypot(back[:, 0], back[:, 1])
-    u = back[:, :2] / np.maximum(d, 1e-6)[:, None]
-    sigma = np.sqrt(np.einsum("ka,kab,kb->k", u, S[:, :2, :2], u))
-    can = d - loop_closure.WINDOW * sigma < _REACH
-    cost = d**2 / (sigma**2 + 1.5**2) + back[:, 2] ** 2 / (S[:, 2, 2] + 1.0)
-    out = []
-    for a in np.argsort(cost):
-        if can[a] and all(abs(way[old[a]] - way[c]) > _SEPARATE for c, _, _ in out):
-            out.append((int(old[a]), se2.between(poses[old[a]], poses[j]), S[a]))
-            if len(out) == _TRIED:
-                break
-    return out
+def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float) -> Int[np.ndarray, " k"]:
+    """Return the rows within so much of the way [m] about row c, c last."""
+    low, high = np.searchsorted(way, way[c] - before), np.searchsorted(way, way[c] + after, side="right")
+    low, high = max(low, c - _MOST), min(high, c + _MOST + 1)
+    return np.array([*range(low, c), *range(c + 1, high), c])
 
 
-def _span(state: MapperState, c: int, before: float, after: float) -> list[int]:
-    way = [k.way for k in state.keyframes]
-    low, high = c, c
-    while low > 0 and way[c] - way[low - 1] <= before and c - low < 20:
-        low -= 1
-    while high < len(way) - 1 and way[high + 1] - way[c] <= after and high - c < 20:
-        high += 1
-    return list(range(low, high + 1))
-
-
-def place_of(state: MapperState, c: int):
+def _place(state: MapperState, c: int) -> Place:
+    """Return the place about an old keyframe, laid out by odometry."""
     if c not in state.places:
-        i = [q for q in _span(state, c, _AROUND, _AROUND) if q != c] + [c]
-        odom = np.array([state.keyframes[q].odom for q in i])
-        state.places[c] = kf.local_map_of([state.keyframes[q] for q in i], se2.between(np.broadcast_to(state.keyframes[c].odom, odom.shape), odom))
+        if len(state.places) >= _PLACES:
+            state.places.pop(next(iter(state.places)))
+        rows = neighbours(ways(state.keyframes), c, _AROUND, _AROUND)
+        state.places[c] = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
     return state.places[c]
 
 
+class _Candidate(NamedTuple):
+    """An old keyframe, the newest one as the graph sees it from there (3,), and the covariance (3, 3) of its ξ."""
+
+    row: int
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def _candidates(state: MapperState) -> list[_Candidate]:
+    """Return old keyframes near which the base may be, best known first, apart from each other."""
+    assert state.solved is not None
+    way, newest, s = ways(state.keyframes), state.poses[-1], len(state.solved.poses) - 1
+    old = np.flatnonzero(way[: s + 1] < way[-1] - _ELSEWHERE)
+    if len(old) == 0:
+        return []
+    near = np.hypot(*(state.poses[old, :2] - newest[:2]).T)
+    S = solver.relative_covariances(state.solved, old, np.full(len(old), s))
+    A = se2.adjoint(se2.between(newest, state.poses[s]))
+    S = A @ S @ A.T + state.since
+    back = se2.between(np.broadcast_to(newest, (len(old), 3)), state.poses[old])
+    u = back[:, :2] / np.maximum(near, 1e-6)[:, None]
+    variance = np.einsum("ka,kab,kb->k", u, S[:, :2, :2], u)
+    in_reach = near - loop_closure.WINDOW * np.sqrt(variance) < _REACH
+    cost = near**2 / (variance + (0.5 * _REACH) ** 2) + back[:, 2] ** 2 / (S[:, 2, 2] + 1.0)  # another heading shares less
+    found: list[_Candidate] = []
+    for a in np.argsort(cost).tolist():
+        if in_reach[a] and all(abs(way[old[a]] - way[c.row]) > _BETWEEN for c in found):
+            found.append(_Candidate(int(old[a]), se2.between(state.poses[old[a]], newest), S[a]))
+            if len(found) == _TRIED:
+                break
+    return found
+
+
 def _looked(state: MapperState) -> MapperState:
-    """Look for closures of the newest keyframe."""
-    j = len(state.keyframes) - 1
+    """Look for the newest keyframe in the places of its candidates."""
+    way, j = ways(state.keyframes), len(state.keyframes) - 1
     candidates = _candidates(state)
     if not candidates:
         return state
-    i = _span(state, j, _JOINED, 0.0)
-    odom = np.array([state.keyframes[q].odom for q in i])
-    query = kf.joined_scan([state.keyframes[q] for q in i], se2.between(np.broadcast_to(state.keyframes[j].odom, odom.shape), odom))
-    points = loop_closure.sampled(query)
-    for c, mean, S in candidates:
-        closure = _compared(state, c, j, mean, S, query, points)
-        if closure is not None:
-            state = _judged(replace(state, closures=(*state.closures, closure)))
+    rows = neighbours(way, j, _BEHIND, 0.0)
+    now = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
+    for c in candidates:
+
+        def nearest(pose: np.ndarray, c: int = c.row) -> tuple[Place, np.ndarray]:
+            near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[j] - way[q] > _ELSEWHERE]
+            seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
+            best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
+            return _place(state, near[best]), seen[best]
+
+        match = loop_closure.compared(_place(state, c.row), now, c.mean, c.covariance, nearest)
+        if match is not None:
+            state = _judged(replace(state, matches=(*state.matches, match)))
     return state
 
 
-def _compared(state, c, j, mean, S, query, points):
-    place = place_of(state, c)
-    window = loop_closure.Window(place, points, mean, S)
-    peak = window.best(_LEAST)
-    if peak is None:
-        return None
-    free = 9.0 * np.diag(S)
-    fit = loop_closure.fitted(query, place, peak.pose, free)
-    along = fit.directions[0][:2] if len(fit.directions) else np.zeros(2)
-    if len(fit.directions):
-        along = along / max(np.hypot(*along), 1e-9)
-        t = fit.pose[2]
-        along = np.array([math.cos(t) * along[0] - math.sin(t) * along[1], math.sin(t) * along[0] + math.cos(t) * along[1]])
-    half = loop_closure.WINDOW * math.sqrt(np.linalg.eigvalsh(S[:2, :2])[1])
-    second = window.best(_UNIQUE * peak.agreement, 1.0, peak.pose, along) if half > 0.5 else None
-    # re-centre
-    near = [q for q in _span(state, c, 8.0, 8.0) if state.keyframes[j].way - state.keyframes[q].way > _APART]
-    T = np.array([se2.between(state.keyframes[c].odom, state.keyframes[q].odom) for q in near])
-    off = np.hypot(T[:, 0] - fit.pose[0], T[:, 1] - fit.pose[1])
-    q = near[int(np.argmin(off))]
-    if q != c:
-        place = place_of(state, q)
-        pose = se2.between(T[int(np.argmin(off))], fit.pose)
-        fit = loop_closure.fitted(query, place, pose, free, np.array([0.2, 0.2, 0.05]))
-        A = odometry_between(state, q, c)
-        mean = se2.compose(A[0], mean)
-    through = loop_closure.seen_through(query, place, fit.pose)
-    overlap = fit.rows / query.count
-    quality = fit.inlier_ratio / max(overlap, 1e-6)
-    xi = se2.difference(mean, fit.pose)
-    cov = 2.25 * fit.covariance + np.diag([0.005**2, 0.005**2, math.radians(0.1) ** 2])
-    chi = float(xi @ np.linalg.solve(S + cov, xi))
-    reason = ""
-    if not math.isfinite(fit.scale) or fit.rows < 12:
-        return None
-    if overlap < 0.4:
-        reason = "overlap"
-    elif quality < 0.55:
-        reason = "quality"
-    elif through > 0.2:
-        reason = "through"
-    elif second is not None:
-        reason = "ambiguous"
-    elif chi > _CHI2:
-        reason = "chi2"
-    figures = dict(agreement=peak.agreement, second=second.agreement if second else 0.0, overlap=overlap, quality=quality, through=through, chi2=chi, half=half, blind=len(fit.directions), scale=fit.scale, first=c, S=S, mean=mean)
-    return Closure(q, j, fit.pose, cov, reason, half < _SURE, figures)
-
-
 def _judged(state: MapperState) -> MapperState:
-    """Take the newest closure, if it is sure or others agree with it."""
-    new = len(state.closures) - 1
-    c = state.closures[new]
-    if c.reason:
+    """Take the newest match as a closure where its window holds no alias, or with others that agree with it."""
+    new, match = len(state.matches) - 1, state.matches[-1]
+    if match.gate:
         return state
-    way = [k.way for k in state.keyframes]
-    if c.sure:
-        return _solve(replace(state, accepted=(*state.accepted, new)))
-    near = [
-        a for a, o in enumerate(state.closures)
-        if (not o.reason) and abs(way[o.j] - way[c.j]) < _NEIGHBOURS and abs(way[o.i] - way[c.i]) < _NEIGHBOURS
-    ][-20:]
-    n = len(near)
-    agree = np.zeros((n, n), dtype=bool)
-    for a in range(n):
+    assert state.solved is not None
+    way = ways(state.keyframes)
+    if match.evidence.window < _SURE:
+        state = replace(state, accepted=(*state.accepted, new))
+        due = way[-1] - way[len(state.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
+        return _solved(state) if due else state
+    near = [a for a in range(new) if not state.matches[a].gate and _beside(way, state.matches[a], match)][-_OTHERS:]
+    near.append(new)
+    agree = np.zeros((len(near), len(near)), dtype=bool)
+    for a in range(len(near)):
         for b in range(a):
-            p, q = state.closures[near[a]], state.closures[near[b]]
-            chi = cycle_chi2((p.pose, p.covariance), odometry_between(state, p.j, q.j), reversed_edge((q.pose, q.covariance)), odometry_between(state, q.i, p.i))
-            apart = abs(way[p.j] - way[q.j]) > 0.9
-            agree[a, b] = agree[b, a] = chi < _CHI2 and apart
-    clique = largest_clique(agree, [n - 1])
-    last = max((way[state.closures[a].j] for a in state.accepted), default=0.0)
-    need = 3 if way[c.j] - last > _LONG else 2
-    if len(clique) < need:
+            agree[a, b] = agree[b, a] = _agree(state, way, state.matches[near[a]], state.matches[near[b]])
+    clique = largest_clique(agree, [len(near) - 1])
+    closed = max((way[state.matches[a].j] for a in state.accepted), default=0.0)
+    if len(clique) < (3 if way[-1] - closed > _LONG else 2):
         return state
-    return _solve(replace(state, accepted=tuple(sorted({*state.accepted, *(near[a] for a in clique)}))))
+    taken = tuple(sorted({*state.accepted, *(near[a] for a in clique)}))
+    solved = _solved(replace(state, accepted=taken))
+    return state if _is_looked_through(solved) else solved
 
 
-def path_of(state: MapperState, rows) -> np.ndarray:
-    """Return the pose (n, 3) on the map at each row of the localizer: corrections of the keyframes, interpolated."""
-    K = state.keyframes
-    stamps, odom = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-    ks, X = np.array([k.stamp for k in K]), np.array(state.poses)
-    O = np.array([k.odom for k in K])
-    a = np.clip(np.searchsorted(ks, stamps, side="right") - 1, 0, len(K) - 1)
-    b = np.minimum(a + 1, len(K) - 1)
-    f = np.where(b > a, (stamps - ks[a]) / np.where(b > a, ks[b] - ks[a], 1.0), 0.0)
-    A = se2.compose(X[a], se2.between(O[a], odom))
-    B = se2.compose(X[b], se2.between(O[b], odom))
-    return se2.interpolate(A, B, np.clip(f, 0, 1))
+def _beside(way: np.ndarray, a: Match, b: Match) -> bool:
+    return bool(abs(way[a.j] - way[b.j]) < _NEIGHBOURS and abs(way[a.i] - way[b.i]) < _NEIGHBOURS)
+
+
+def _agree(state: MapperState, way: np.ndarray, a: Match, b: Match) -> bool:
+    """Whether two matches from different places agree, by the odometry between their ends."""
+    if abs(way[a.j] - way[b.j]) < 0.9 * _EVERY[0] and abs(state.keyframes[a.j].odom[2] - state.keyframes[b.j].odom[2]) < 0.9 * _EVERY[1]:
+        return False
+    now, old = (odometry_between(state.keyframes, *ends) for ends in ((a.j, b.j), (b.i, a.i)))
+    return cycle_chi2((a.pose, a.covariance), now, reversed_edge((b.pose, b.covariance)), old) < CHI2
+
+
+def _is_looked_through(state: MapperState) -> bool:
+    """Whether beams of the last keyframes pass through walls of other passes, as the map is now."""
+    way = ways(state.keyframes)
+    last = np.flatnonzero(way > way[-1] - _NEIGHBOURS)
+    old = np.flatnonzero(way < way[-1] - _NEIGHBOURS - _ELSEWHERE)
+    through = []
+    for k in last[:: max(len(last) // _SAMPLES, 1)].tolist():
+        near = np.hypot(*(state.poses[old, :2] - state.poses[k, :2]).T)
+        if len(old) and near.min() < _REACH:
+            place = _place(state, int(old[np.argmin(near)]))
+            pose = se2.between(state.poses[place.middle], state.poses[k])
+            through.append(loop_closure.seen_through(state.keyframes[k].features, place.local_map, pose))
+    return bool(through) and float(np.mean(through)) > loop_closure.THROUGH
