@@ -9,8 +9,13 @@ import math
 import numpy as np
 
 from longreach.kernels import kernel
+from longreach.odometry._local_map_kernels import BLOCKS, CELL, SIDE
 
 LEVELS = 6  # 0 to 5: a cell of the last is 32 wide
+_STEP = 0.05  # [m] along a beam
+_CLEAR = 0.3  # [m] before a return, that may lie in front of its own surface
+_HEAD_ON = 0.3  # cosine between beam and normal: below it, an error of the heading makes a beam graze a wall
+_RETURNS = 3.0  # of a surface: fewer may be somebody who walked by
 
 
 @kernel
@@ -123,3 +128,30 @@ def descend(levels, cells, top, sizes, roots, order, steps, information, limit, 
                     size += 1
                 bounds[q] = math.inf
     return best / whole
+
+
+@kernel
+def seen_through(points, m, stride, pose, surfaces):
+    """Return the share of every `stride`th of m beams that passes through a surface, not grazing it, on its way.
+
+    points: the features of a scan, in the frame of a base at a pose (3,) in the map.
+    """
+    origin, blocks, cells, elements = surfaces
+    c, s, through, n = math.cos(pose[2]), math.sin(pose[2]), 0, 0
+    for u in range(0, m, stride):
+        n += 1
+        hx, hy = pose[0] + c * points[0, u] - s * points[1, u], pose[1] + s * points[0, u] + c * points[1, u]
+        dx, dy = c * points[2, u] - s * points[3, u], s * points[2, u] + c * points[3, u]
+        back, found = _CLEAR, False
+        while back < points[4, u] - _CLEAR and not found:
+            i = math.floor((hx - back * dx - origin[0]) / CELL)
+            k = math.floor((hy - back * dy - origin[1]) / CELL)
+            back += _STEP
+            if i < 0 or k < 0 or i >= SIDE * BLOCKS or k >= SIDE * BLOCKS or blocks[i // SIDE, k // SIDE] < 0:
+                continue
+            for layer in range(2):
+                j = cells[blocks[i // SIDE, k // SIDE], i % SIDE, k % SIDE, layer]
+                if j >= 0 and elements[j, 4] >= _RETURNS:
+                    found = found or abs(dx * elements[j, 2] + dy * elements[j, 3]) > _HEAD_ON
+        through += found
+    return through / n

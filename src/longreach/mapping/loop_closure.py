@@ -21,7 +21,6 @@ from longreach.mapping import _loop_closure_kernels as kernels
 from longreach.mapping.keyframes import MATCHER, Place
 from longreach.odometry import _local_map_kernels as map_kernels
 from longreach.odometry.local_map import LocalMap
-from longreach.odometry.matchers import _correlative_kernels
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
 
 WINDOW = 3.5  # deviations of the relative pose: the true one is outside with 0.7 % (χ², 3 degrees of freedom)
@@ -144,9 +143,8 @@ def fitted(scan: Features, to: LocalMap, pose: np.ndarray, free: np.ndarray, sig
 
 def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
     """Return the share of a scan's beams that pass through a surface of a local map, in which the base is at a pose."""
-    first, field, _ = to.field
-    values, n, stride = scan.values, scan.count, max(scan.count // _BEAMS, 1)
-    return float(_correlative_kernels.seen_through(values, n, stride, *pose.tolist(), to.surfaces.origin, first, field))
+    stride = max(scan.count // _BEAMS, 1)
+    return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
 
 
 def covariance_of(fit: Fit) -> Float[np.ndarray, "3 3"]:

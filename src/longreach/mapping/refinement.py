@@ -17,7 +17,9 @@ from longreach.mapping.mapper import neighbours, odometry_edges, ways
 from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
 from longreach.mapping.solver import Solved
 
-_ROUNDS = 2  # the third changes nothing that relations show
+# Of the covariance of odometry's edges. Drift is what errors that last over many keyframes add up to; from one to the
+# next it is far less. With this the graph's χ² per degree of freedom is 0.6 to 1.1 on four real logs (1 is ideal).
+_LOCAL = 0.1
 _REACH = 2.5  # [m] from a keyframe to another pass,
 _PASSES = 4  # the nearest ones of which are taken
 _ELSEWHERE = 10.0  # [m] of path to another pass,
@@ -32,14 +34,13 @@ def refined(
     poses: Float[np.ndarray, "n 3"],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Solved:
-    """Match every keyframe to other passes, starting from poses (n, 3) whose loops are closed, and solve; twice."""
+    """Match every keyframe to other passes as poses (n, 3), whose loops are closed, lay them out; then solve, robustly.
+
+    Once: what a second time changes is within what relations show of four real logs.
+    """
     odometry = odometry_edges(keyframes)
-    solved = solver.optimize(PoseGraph(poses, odometry, no_edges()), iterations=0)
-    for turn in range(_ROUNDS):
-        edges = _passes(keyframes, poses, lambda part, turn=turn: progress((turn + part) / _ROUNDS))
-        solved = solver.optimize_robust(PoseGraph(poses, odometry, edges))
-        poses = solved.poses
-    return solved
+    odometry = Edges(odometry.i, odometry.j, odometry.z, _LOCAL * odometry.covariance)
+    return solver.optimize_robust(PoseGraph(poses, odometry, _passes(keyframes, poses, progress)))
 
 
 def _passes(

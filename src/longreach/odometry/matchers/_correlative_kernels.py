@@ -16,8 +16,7 @@ _FARTHEST = 6.0  # [m]: beyond, a step of the angle may move a point by more tha
 _PRIOR = 0.02  # of the agreement, that a pose one deviation from the prior loses
 _THROUGH = 0.5  # of the agreement, that a pose loses if every beam passes through a surface
 _SURFACE = 153  # of 255, above which the field is that of a surface
-_CLEAR = 0.3  # [m] before a return, in which a beam may graze its own surface,
-_BESIDE = 0.1  # [m] and the distance from it, within which it does
+_CLEAR = 0.3  # [m] before a return, in which a beam may graze its own surface
 
 
 @kernel
@@ -44,7 +43,7 @@ def _score(turned, n, x, y, field, least):
 
 
 @kernel
-def seen_through(points, m, stride, x, y, t, origin, first, field):
+def _through(points, m, stride, x, y, t, origin, first, field):
     """Return the share of beams that pass through a surface of the map on their way."""
     scale = FINE / CELL
     c, s, through, n = math.cos(t), math.sin(t), 0, 0
@@ -53,8 +52,7 @@ def seen_through(points, m, stride, x, y, t, origin, first, field):
         length = points[4, u] - _CLEAR
         hx, hy = x + c * points[0, u] - s * points[1, u], y + s * points[0, u] + c * points[1, u]
         dx, dy = c * points[2, u] - s * points[3, u], s * points[2, u] + c * points[3, u]
-        facing = abs(points[2, u] * points[5, u] + points[3, u] * points[6, u])
-        back = _CLEAR if facing == 0.0 else max(_CLEAR, _BESIDE / facing)  # 0: the surface's direction is not known
+        back = _CLEAR
         while back < length:
             i = int((hx - back * dx - origin[0]) * scale - first[0])
             k = int((hy - back * dy - origin[1]) * scale - first[1])
@@ -128,7 +126,7 @@ def search(points, m, guess, sigma, window, origin, first, field, pooled, best):
         if tops[k] <= final or tops[k] < 0.8 * top or edge:
             continue  # what is best at the edge of the window may be better beyond
         x, y, t = poses[k]
-        value = tops[k] - _THROUGH * seen_through(points, m, stride, x, y, t, origin, first, field)
+        value = tops[k] - _THROUGH * _through(points, m, stride, x, y, t, origin, first, field)
         if value > final:
             final = value
             best[0], best[1], best[2] = x, y, t
