@@ -129,6 +129,22 @@ def adjoints(poses: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
     return Ad
 
 
+def innovation_chi2(
+    poses: Float[np.ndarray, "n 3"], edges: Edges, between: Float[np.ndarray, "m 3 3"]
+) -> Float[np.ndarray, " m"]:
+    """Return the χ², 3 degrees of freedom, of edges that are not in a graph (or withdrawn there) against it.
+
+    ξᵀ (Σ + B Σ_ij Bᵀ)⁻¹ ξ with B = J_r⁻¹(ξ) and Σ_ij = between (m, 3, 3), the covariances of T_i⁻¹ · T_j in the frame
+    of j as the graph has them. To first order the sum of all errors grows by just that when the edge is added. Where
+    Σ_ij is infinite, nothing speaks against the edge: 0.
+    """
+    xi = residuals(poses, edges)
+    B = jacobians(poses, edges, xi)[1]
+    known = np.isfinite(between[:, 0, 0])
+    S = edges.covariance + B @ np.where(known[:, None, None], between, 0.0) @ B.transpose(0, 2, 1)
+    return np.where(known, np.einsum("mi,mi->m", xi, np.linalg.solve(S, xi[:, :, None])[:, :, 0]), 0.0)
+
+
 def dead_reckoned(odometry: Edges, start: Float[np.ndarray, "3"], n: int) -> Float[np.ndarray, "n 3"]:
     """Return n poses from `start` along the edges that join each pose with the next.
 
