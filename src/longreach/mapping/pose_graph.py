@@ -91,6 +91,20 @@ class PoseGraph:
         return joined(self.odometry, self.closures)
 
 
+def information(covariance: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Return the inverses of covariances, by the adjugates of their correlations."""
+    sigma = np.sqrt(np.einsum("mii->mi", covariance))
+    C = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    a, b, c = C[:, 1, 0], C[:, 2, 0], C[:, 2, 1]
+    out = np.empty_like(C)
+    out[:, 0, 0], out[:, 1, 1], out[:, 2, 2] = 1 - c * c, 1 - b * b, 1 - a * a
+    out[:, 0, 1] = out[:, 1, 0] = b * c - a
+    out[:, 0, 2] = out[:, 2, 0] = a * c - b
+    out[:, 1, 2] = out[:, 2, 1] = a * b - c
+    determinant = out[:, 0, 0] + a * out[:, 0, 1] + b * out[:, 0, 2]
+    return out / (determinant[:, None, None] * sigma[:, :, None] * sigma[:, None, :])
+
+
 def residuals(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray, "m 3"]:
     """Return what each edge lacks: ξ = log(z⁻¹ · T_i⁻¹ · T_j), in the frame of j."""
     return se2.difference(edges.z, se2.between(poses[edges.i], poses[edges.j]))
@@ -99,7 +113,7 @@ def residuals(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray
 def chi2(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray, " m"]:
     """Return ξᵀ Σ⁻¹ ξ of each edge."""
     e = residuals(poses, edges)
-    return np.einsum("mi,mi->m", e, np.linalg.solve(edges.covariance, e[:, :, None])[:, :, 0])
+    return np.einsum("mi,mij,mj->m", e, information(edges.covariance), e)
 
 
 def jacobians(
@@ -142,7 +156,7 @@ def innovation_chi2(
     B = jacobians(poses, edges, xi)[1]
     known = np.isfinite(between[:, 0, 0])
     S = edges.covariance + B @ np.where(known[:, None, None], between, 0.0) @ B.transpose(0, 2, 1)
-    return np.where(known, np.einsum("mi,mi->m", xi, np.linalg.solve(S, xi[:, :, None])[:, :, 0]), 0.0)
+    return np.where(known, np.einsum("mi,mij,mj->m", xi, information(S), xi), 0.0)
 
 
 def dead_reckoned(odometry: Edges, start: Float[np.ndarray, "3"], n: int) -> Float[np.ndarray, "n 3"]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from longreach.errors import MappingError
 from longreach.geometry import se2
 from longreach.mapping import _sparse_kernels as kernels
-from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, innovation_chi2, jacobians, residuals
+from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, information, innovation_chi2, jacobians, residuals
 
 _STEP = 1e-9  # [m, rad] a step below this is not taken: the poses given back are then their own solution, bit for bit
 _ITERATIONS = 50
@@ -188,7 +188,7 @@ class _Problem:
         if len(graph.poses) == 0:
             raise MappingError("The pose graph has no poses; there is nothing to solve.")
         self.graph, self.edges, self.order = graph, graph.edges, order_of(graph)
-        self.information = np.linalg.inv(self.edges.covariance)
+        self.information = information(self.edges.covariance)
 
     def closure_chi2(self, way: _Way) -> np.ndarray:
         closures = slice(len(self.graph.odometry), None)
@@ -205,12 +205,12 @@ class _Problem:
                 return _Way(poses, e, before + taken, True)
             if taken == iterations or damping > 1e8:
                 return _Way(poses, e, before + taken, False)
-            taken += 1
             if step is not None:
                 moved = se2.retract(poses, step)
                 e_moved, cost_moved = system.cost(moved)
                 if cost_moved < cost:
-                    poses, e, cost, damping = moved, e_moved, cost_moved, damping / 10 if damping > 1e-6 else 0.0
+                    poses, e, cost, taken = moved, e_moved, cost_moved, taken + 1
+                    damping = damping / 10 if damping > 1e-6 else 0.0
                     continue
                 if damping == 0 and gain <= _ROUNDING * cost:
                     return _Way(poses, e, before + taken, True)
