@@ -29,8 +29,10 @@ class Edges:
     def __post_init__(self) -> None:
         m = len(self.i)
         for name, shape, kind in (("i", (m,), int), ("j", (m,), int), ("z", (m, 3), float)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), shape, kind, f"edges' {name}"))
-        object.__setattr__(self, "covariance", _frozen(self.covariance, (m, 3, 3), float, "edges' covariance"))
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, kind, f"pose graph's {name} of edges"))
+        object.__setattr__(
+            self, "covariance", frozen(self.covariance, (m, 3, 3), float, "pose graph's covariance of edges")
+        )
         for e in np.flatnonzero(self.i == self.j).tolist():
             raise MappingError(f"Edge {e} joins pose {self.i[e]} with itself; an edge joins two poses.")
         for e in np.flatnonzero(~_positive_definite(self.covariance)).tolist():
@@ -79,7 +81,7 @@ class PoseGraph:
 
     def __post_init__(self) -> None:
         n = len(self.poses)
-        object.__setattr__(self, "poses", _frozen(self.poses, (n, 3), float, "graph's poses"))
+        object.__setattr__(self, "poses", frozen(self.poses, (n, 3), float, "pose graph's poses"))
         for edges in (self.odometry, self.closures):
             ends = np.concatenate([edges.i, edges.j])
             for end in ends[(ends < 0) | (ends >= n)].tolist():
@@ -174,12 +176,13 @@ def dead_reckoned(odometry: Edges, start: Float[np.ndarray, "3"], n: int) -> Flo
     return np.array(poses).reshape(-1, 3)
 
 
-def _frozen(value: np.ndarray, shape: tuple[int, ...], kind: type, what: str) -> np.ndarray:
+def frozen(value: np.ndarray, shape: tuple[int, ...], kind: type, what: str) -> np.ndarray:
+    """Return a read-only copy, int64 or float, or raise MappingError where its shape is another or it is not finite."""
     array = np.array(value, dtype=np.int64 if kind is int else float, order="C")
     if array.shape != shape:
-        raise MappingError(f"A pose graph's {what} have shape {array.shape}, expected {shape}.")
+        raise MappingError(f"The shape of a {what} is {array.shape}, expected {shape}.")
     if not np.all(np.isfinite(array)):
-        raise MappingError(f"A pose graph's {what} must be finite.")
+        raise MappingError(f"A {what} must be finite.")
     array.flags.writeable = False
     return array
 
