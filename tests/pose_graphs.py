@@ -31,9 +31,9 @@ def measured(rng, truth, i, j, covariance=COVARIANCE):
     return Edges(np.array(i), np.array(j), z, np.repeat(covariance[None], len(i), axis=0))
 
 
-def street_graph(rng, n=200, closures=60, wrong=0.0):
+def street_graph(rng, n=200, closures=60, wrong=0.0, width=6):
     """A graph from dead reckoning, its true poses, and which closures are wrong (m,)."""
-    truth = walk(rng, n)
+    truth = walk(rng, n, width)
     odometry = measured(rng, truth, np.arange(n - 1), np.arange(1, n))
     pairs = cKDTree(truth[:, :2]).query_pairs(1.5, output_type="ndarray")
     pairs = rng.permutation(pairs[np.abs(pairs[:, 1] - pairs[:, 0]) > 10])[:closures]

@@ -67,10 +67,10 @@ def of_one(i=0, j=1, z=(1.0, 0.0, 0.0), covariance=COVARIANCE):
     ("change", "sentence"),
     [
         ({"j": 0}, "Edge 0 joins pose 0 with itself"),
-        ({"z": (np.nan, 0.0, 0.0)}, "edges' z must be finite"),
+        ({"z": (np.nan, 0.0, 0.0)}, "z of edges must be finite"),
         ({"covariance": np.diag([1.0, 1.0, 0.0])}, "covariance of edge 0, of poses 0 and 1, is not positive definite"),
         ({"covariance": np.diag([1.0, -1.0, -1.0])}, "not positive definite"),
-        ({"covariance": np.diag([1.0, 1.0, np.inf])}, "covariance must be finite"),
+        ({"covariance": np.diag([1.0, 1.0, np.inf])}, "covariance of edges must be finite"),
         ({"covariance": np.eye(3) + 0.1 * np.eye(3, k=1)}, "not positive definite"),
     ],
 )

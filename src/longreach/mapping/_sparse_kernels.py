@@ -136,12 +136,26 @@ def _divide(G, k, X, p):
 
 
 @kernel
-def _subtract_outer(A, a, b, out, o):
-    """out[o] −= A[a] A[b]ᵀ."""
+def _subtract_square(A, a, out, o):
+    """out[o] −= A[a] A[a]ᵀ."""
     for r in range(3):
         for c in range(3):
-            for s in range(3):
-                out[o, r, c] -= A[a, r, s] * A[b, c, s]
+            out[o, r, c] -= A[a, r, 0] * A[a, c, 0] + A[a, r, 1] * A[a, c, 1] + A[a, r, 2] * A[a, c, 2]
+
+
+@kernel
+def _subtract_column(A, rows, place, p, end):
+    """A[place of row q] −= A[q] A[p]ᵀ for the rows q of a column below p; A[p] in scalars: A may not be read again."""
+    xx, xy, xt = A[p, 0, 0], A[p, 0, 1], A[p, 0, 2]
+    yx, yy, yt = A[p, 1, 0], A[p, 1, 1], A[p, 1, 2]
+    tx, ty, tt = A[p, 2, 0], A[p, 2, 1], A[p, 2, 2]
+    for q in range(p + 1, end):
+        o = place[rows[q]]
+        for r in range(3):
+            x, y, t = A[q, r, 0], A[q, r, 1], A[q, r, 2]
+            A[o, r, 0] -= x * xx + y * xy + t * xt
+            A[o, r, 1] -= x * yx + y * yy + t * yt
+            A[o, r, 2] -= x * tx + y * ty + t * tt
 
 
 @kernel
@@ -159,9 +173,8 @@ def factorize(start, rows, diagonal, blocks, waiting, following, at, place):
         j = waiting[k]
         while j != -1:
             after, p = following[j], at[j]
-            _subtract_outer(blocks, p, p, diagonal, k)
-            for q in range(p + 1, start[j + 1]):
-                _subtract_outer(blocks, q, p, blocks, place[rows[q]])
+            _subtract_square(blocks, p, diagonal, k)
+            _subtract_column(blocks, rows, place, p, start[j + 1])
             at[j] = p + 1
             if p + 1 < start[j + 1]:
                 following[j], waiting[rows[p + 1]] = waiting[rows[p + 1]], j
@@ -216,18 +229,18 @@ def _clear(out, o):
 def _subtract(A, a, B, b, out, o):
     """out[o] −= A[a] B[b]."""
     for r in range(3):
+        x, y, t = A[a, r, 0], A[a, r, 1], A[a, r, 2]
         for c in range(3):
-            for s in range(3):
-                out[o, r, c] -= A[a, r, s] * B[b, s, c]
+            out[o, r, c] -= x * B[b, 0, c] + y * B[b, 1, c] + t * B[b, 2, c]
 
 
 @kernel
 def _subtract_transposed(A, a, B, b, out, o):
     """out[o] −= A[a]ᵀ B[b]."""
     for r in range(3):
+        x, y, t = A[a, 0, r], A[a, 1, r], A[a, 2, r]
         for c in range(3):
-            for s in range(3):
-                out[o, r, c] -= A[a, s, r] * B[b, s, c]
+            out[o, r, c] -= x * B[b, 0, c] + y * B[b, 1, c] + t * B[b, 2, c]
 
 
 @kernel

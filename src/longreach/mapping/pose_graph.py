@@ -29,8 +29,10 @@ class Edges:
     def __post_init__(self) -> None:
         m = len(self.i)
         for name, shape, kind in (("i", (m,), int), ("j", (m,), int), ("z", (m, 3), float)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), shape, kind, f"edges' {name}"))
-        object.__setattr__(self, "covariance", _frozen(self.covariance, (m, 3, 3), float, "edges' covariance"))
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, kind, f"pose graph's {name} of edges"))
+        object.__setattr__(
+            self, "covariance", frozen(self.covariance, (m, 3, 3), float, "pose graph's covariance of edges")
+        )
         for e in np.flatnonzero(self.i == self.j).tolist():
             raise MappingError(f"Edge {e} joins pose {self.i[e]} with itself; an edge joins two poses.")
         for e in np.flatnonzero(~_positive_definite(self.covariance)).tolist():
@@ -79,7 +81,7 @@ class PoseGraph:
 
     def __post_init__(self) -> None:
         n = len(self.poses)
-        object.__setattr__(self, "poses", _frozen(self.poses, (n, 3), float, "graph's poses"))
+        object.__setattr__(self, "poses", frozen(self.poses, (n, 3), float, "pose graph's poses"))
         for edges in (self.odometry, self.closures):
             ends = np.concatenate([edges.i, edges.j])
             for end in ends[(ends < 0) | (ends >= n)].tolist():
@@ -91,6 +93,20 @@ class PoseGraph:
         return joined(self.odometry, self.closures)
 
 
+def information(covariance: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Return the inverses of covariances, by the adjugates of their correlations."""
+    sigma = np.sqrt(np.einsum("mii->mi", covariance))
+    C = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    a, b, c = C[:, 1, 0], C[:, 2, 0], C[:, 2, 1]
+    out = np.empty_like(C)
+    out[:, 0, 0], out[:, 1, 1], out[:, 2, 2] = 1 - c * c, 1 - b * b, 1 - a * a
+    out[:, 0, 1] = out[:, 1, 0] = b * c - a
+    out[:, 0, 2] = out[:, 2, 0] = a * c - b
+    out[:, 1, 2] = out[:, 2, 1] = a * b - c
+    determinant = out[:, 0, 0] + a * out[:, 0, 1] + b * out[:, 0, 2]
+    return out / (determinant[:, None, None] * sigma[:, :, None] * sigma[:, None, :])
+
+
 def residuals(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray, "m 3"]:
     """Return what each edge lacks: ξ = log(z⁻¹ · T_i⁻¹ · T_j), in the frame of j."""
     return se2.difference(edges.z, se2.between(poses[edges.i], poses[edges.j]))
@@ -99,7 +115,7 @@ def residuals(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray
 def chi2(poses: Float[np.ndarray, "n 3"], edges: Edges) -> Float[np.ndarray, " m"]:
     """Return ξᵀ Σ⁻¹ ξ of each edge."""
     e = residuals(poses, edges)
-    return np.einsum("mi,mi->m", e, np.linalg.solve(edges.covariance, e[:, :, None])[:, :, 0])
+    return np.einsum("mi,mij,mj->m", e, information(edges.covariance), e)
 
 
 def jacobians(
@@ -129,6 +145,22 @@ def adjoints(poses: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
     return Ad
 
 
+def innovation_chi2(
+    poses: Float[np.ndarray, "n 3"], edges: Edges, between: Float[np.ndarray, "m 3 3"]
+) -> Float[np.ndarray, " m"]:
+    """Return the χ², 3 degrees of freedom, of edges that are not in a graph (or withdrawn there) against it.
+
+    ξᵀ (Σ + B Σ_ij Bᵀ)⁻¹ ξ with B = J_r⁻¹(ξ) and Σ_ij = between (m, 3, 3), the covariances of T_i⁻¹ · T_j in the frame
+    of j as the graph has them. To first order the sum of all errors grows by just that when the edge is added. Where
+    Σ_ij is infinite, nothing speaks against the edge: 0.
+    """
+    xi = residuals(poses, edges)
+    B = jacobians(poses, edges, xi)[1]
+    known = np.isfinite(between[:, 0, 0])
+    S = edges.covariance + B @ np.where(known[:, None, None], between, 0.0) @ B.transpose(0, 2, 1)
+    return np.where(known, np.einsum("mi,mij,mj->m", xi, information(S), xi), 0.0)
+
+
 def dead_reckoned(odometry: Edges, start: Float[np.ndarray, "3"], n: int) -> Float[np.ndarray, "n 3"]:
     """Return n poses from `start` along the edges that join each pose with the next.
 
@@ -144,12 +176,13 @@ def dead_reckoned(odometry: Edges, start: Float[np.ndarray, "3"], n: int) -> Flo
     return np.array(poses).reshape(-1, 3)
 
 
-def _frozen(value: np.ndarray, shape: tuple[int, ...], kind: type, what: str) -> np.ndarray:
+def frozen(value: np.ndarray, shape: tuple[int, ...], kind: type, what: str) -> np.ndarray:
+    """Return a read-only copy, int64 or float, or raise MappingError where its shape is another or it is not finite."""
     array = np.array(value, dtype=np.int64 if kind is int else float, order="C")
     if array.shape != shape:
-        raise MappingError(f"A pose graph's {what} have shape {array.shape}, expected {shape}.")
+        raise MappingError(f"The shape of a {what} is {array.shape}, expected {shape}.")
     if not np.all(np.isfinite(array)):
-        raise MappingError(f"A pose graph's {what} must be finite.")
+        raise MappingError(f"A {what} must be finite.")
     array.flags.writeable = False
     return array
 

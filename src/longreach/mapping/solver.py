@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from longreach.errors import MappingError
 from longreach.geometry import se2
 from longreach.mapping import _sparse_kernels as kernels
-from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, jacobians, residuals
+from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, information, innovation_chi2, jacobians, residuals
 
 _STEP = 1e-9  # [m, rad] a step below this is not taken: the poses given back are then their own solution, bit for bit
 _ITERATIONS = 50
@@ -145,7 +145,8 @@ def _readmitted(problem: "_Problem", way: "_Way", weights: np.ndarray, c2: float
     tried = weights > 0
     while not np.all(tried):
         waiting = np.flatnonzero(~tried)
-        price = innovation_chi2(solved, problem.graph.closures[waiting])
+        edges = problem.graph.closures[waiting]
+        price = innovation_chi2(solved.poses, edges, relative_covariances(solved, edges.i, edges.j))
         if not np.min(price) <= c2:
             break
         k = waiting[np.argmin(price)]
@@ -187,7 +188,7 @@ class _Problem:
         if len(graph.poses) == 0:
             raise MappingError("The pose graph has no poses; there is nothing to solve.")
         self.graph, self.edges, self.order = graph, graph.edges, order_of(graph)
-        self.information = np.linalg.inv(self.edges.covariance)
+        self.information = information(self.edges.covariance)
 
     def closure_chi2(self, way: _Way) -> np.ndarray:
         closures = slice(len(self.graph.odometry), None)
@@ -204,12 +205,12 @@ class _Problem:
                 return _Way(poses, e, before + taken, True)
             if taken == iterations or damping > 1e8:
                 return _Way(poses, e, before + taken, False)
-            taken += 1
             if step is not None:
                 moved = se2.retract(poses, step)
                 e_moved, cost_moved = system.cost(moved)
                 if cost_moved < cost:
-                    poses, e, cost, damping = moved, e_moved, cost_moved, damping / 10 if damping > 1e-6 else 0.0
+                    poses, e, cost, taken = moved, e_moved, cost_moved, taken + 1
+                    damping = damping / 10 if damping > 1e-6 else 0.0
                     continue
                 if damping == 0 and gain <= _ROUNDING * cost:
                     return _Way(poses, e, before + taken, True)
@@ -339,17 +340,3 @@ def relative_covariances(
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     covariance[f.part[i] != f.part[j]] = np.diag([np.inf] * 3)
     return covariance
-
-
-def innovation_chi2(solved: Solved, edges: Edges) -> Float[np.ndarray, " k"]:
-    """Return the χ², 3 degrees of freedom, of edges that are not in the graph (or have the weight 0 there) against it.
-
-    ξᵀ (Σ + B Σ_ij Bᵀ)⁻¹ ξ with Σ_ij of `relative_covariances` and B = J_r⁻¹(ξ); to first order what the sum of all
-    errors grows by when the edge is added. Edges between parts that nothing joins have 0.
-    """
-    xi = residuals(solved.poses, edges)
-    B = jacobians(solved.poses, edges, xi)[1]
-    apart = solved.factor.part[edges.i] != solved.factor.part[edges.j]
-    between = np.where(apart[:, None, None], 0.0, relative_covariances(solved, edges.i, edges.j))
-    S = edges.covariance + B @ between @ B.transpose(0, 2, 1)
-    return np.where(apart, 0.0, np.einsum("mi,mi->m", xi, np.linalg.solve(S, xi[:, :, None])[:, :, 0]))
