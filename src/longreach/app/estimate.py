@@ -90,12 +90,12 @@ def estimate(
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    sources = _sources(recording, robot, config)
+    sources = sources_of(recording, robot, config)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
 
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
     alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in sources else ()
-    done = _localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
+    done = localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
@@ -115,16 +115,16 @@ def estimate(
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
 
 
-class _Done(NamedTuple):
+class Done(NamedTuple):
     """The localizer after all readings, and all that it gave out."""
 
     state: LocalizerState
     output: Output
 
 
-def _localized(
+def localized(
     recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: Sequence[Source], tell: Progress
-) -> _Done:
+) -> Done:
     """Fold the localizer's step over all readings; they are in order, so it needs no history."""
     found = {"wheels": recording.wheels, "imu": recording.imu, "fixes": recording.fixes, "lidar": recording.scans}
     readings: list[Reading] = [reading for name in found if name in sources for reading in found[name]]
@@ -146,7 +146,7 @@ def _localized(
             f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes show no motion; it takes two good "
             "wheel records or scans."
         )
-    return _Done(state, output)
+    return Done(state, output)
 
 
 def _path(rows: Sequence[Row]) -> PoseTrajectory:
@@ -154,7 +154,7 @@ def _path(rows: Sequence[Row]) -> PoseTrajectory:
     return PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances))
 
 
-def _smoothed(done: _Done) -> PoseTrajectory:
+def _smoothed(done: Done) -> PoseTrajectory:
     """Look back over all events; with fixes from where the start is on the map."""
     rows, on_map, events = done.output.rows, done.output.rows_on_map, planar_filter.in_order(done.output.events)
     pose, P = np.zeros(3), None
@@ -184,7 +184,7 @@ def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> 
     return np.asarray(recording.mounts.get(frame, np.eye(4)))
 
 
-def _sources(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
+def sources_of(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
     """Return what is fused, of what can be.
 
     Raises:
@@ -212,7 +212,7 @@ def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:
     return tuple(match.measurement for match in matches if match.measurement is not None)
 
 
-def _with_consistency(evaluation: Evaluation, done: _Done, fixes: set[str]) -> Metrics:
+def _with_consistency(evaluation: Evaluation, done: Done, fixes: set[str]) -> Metrics:
     """Add the NIS of each source to the metrics of what it corrects, and the NEES of matches to those of the LIDAR."""
     metrics, matches = {name: dict(one) for name, one in evaluation.metrics.items()}, _found(done.output.matches)
     for source, consistency in innovations(done.output.corrections).items():
@@ -243,7 +243,7 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, done: _Done) -> list[str]:
+def _remarks(breaks: int, done: Done) -> list[str]:
     remarks, matches = [], done.output.matches
     if breaks:
         remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")

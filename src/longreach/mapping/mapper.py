@@ -15,16 +15,28 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from longreach.geometry import se2
-from longreach.mapping import loop_closure, solver
-from longreach.mapping.consistency import Edge, cycle_chi2, largest_clique, reversed_edge
-from longreach.mapping.keyframes import DISTANCE, MATCHER, TURNED, Keyframe, Place, motion_covariance, place_of
+from longreach.mapping import incremental, loop_closure
+from longreach.mapping.consistency import cycle_chi2, largest_clique, reversed_edge
+from longreach.mapping.keyframes import (
+    DISTANCE,
+    DRIFT,
+    MATCHER,
+    TURNED,
+    Keyframe,
+    Place,
+    motion_covariance,
+    neighbours,
+    odometry_between,
+    place_of,
+    ways,
+)
 from longreach.mapping.loop_closure import CHI2, Match
-from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, no_edges
-from longreach.mapping.solver import Solved
+from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, innovation_chi2, no_edges
 from longreach.measurement import LaserScan
+from longreach.odometry.matchers.scan_matcher import Features
 from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry, share_of_a_beam
 
 _EVERY = 1.0, math.radians(60.0)  # between keyframes that look for closures [m, rad]
@@ -33,7 +45,6 @@ _REACH = 3.0  # [m] between poses whose scans show the same surfaces
 _TRIED = 3  # candidates of a keyframe,
 _BETWEEN = 8.0  # [m] of path between these
 _AROUND, _BEHIND = 5.0, 3.0  # [m] of path about an old keyframe that make a place, and behind the newest
-_MOST = 20  # keyframes on either side in a place
 _SURE = 0.5 * loop_closure.APART  # [m]: a smaller window has no room for two places that look the same
 _NEIGHBOURS = 20.0  # [m] of path between closures that confirm each other,
 _OTHERS = 20  # the last ones of them
@@ -56,19 +67,17 @@ class PathRow(NamedTuple):
 class MapperState:
     """What a mapper knows.
 
-    poses (n, 3): of the keyframes on the map. matches: all that were tried; accepted: which of them are closures.
-    solved: the graph as last solved, of the first keyframes; since (3, 3): the covariance of the motion from the last of
-    these to the newest keyframe. waiting: scans whose row has not come. last: the row of the last scan; at_keyframe: of
-    the newest keyframe. way [m]: driven so far. looked: way [m] and heading [rad] of the last search.
+    graph: of the keyframes, None before the first. matches: all that were tried; accepted: which of them are closures,
+    of which the first are in the graph and the others wait for it to be solved. waiting: scans whose row has not come.
+    last: the row of the last scan; at_keyframe: of the newest keyframe. way [m]: driven so far. looked: way [m] and
+    heading [rad] of the last search.
     """
 
     T_base_laser: Float[np.ndarray, "4 4"]
+    graph: incremental.State | None = None
     keyframes: tuple[Keyframe, ...] = ()
-    poses: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     matches: tuple[Match, ...] = ()
     accepted: tuple[int, ...] = ()
-    solved: Solved | None = None
-    since: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.zeros((3, 3)))
     waiting: tuple[LaserScan, ...] = ()
     last: PathRow | None = None
     at_keyframe: PathRow | None = None
@@ -76,6 +85,11 @@ class MapperState:
     looked: tuple[float, float] = (-math.inf, 0.0)
     geometry: ScanGeometry | None = None
     places: dict[int, Place] = field(default_factory=dict)  # a cache: what is in it follows from the keyframes
+
+    @property
+    def poses(self) -> Float[np.ndarray, "n 3"]:
+        """Of the keyframes, on the map."""
+        return np.zeros((0, 3)) if self.graph is None else self.graph.poses
 
     @property
     def T_map_odom(self) -> Float[np.ndarray, "3"]:
@@ -87,7 +101,7 @@ class MapperState:
     @property
     def withdrawn(self) -> tuple[int, ...]:
         """The accepted matches that the graph as last solved gives no weight."""
-        weights = () if self.solved is None else self.solved.weights
+        weights = () if self.graph is None else self.graph.weights
         return tuple(a for a, weight in zip(self.accepted, weights, strict=False) if weight < 0.5)
 
 
@@ -109,54 +123,41 @@ def step(state: MapperState, scans: Iterable[LaserScan], rows: Iterable[PathRow]
 
 def _taken(state: MapperState, scan: LaserScan, row: PathRow) -> MapperState:
     """Take a scan with its row: a keyframe where the base has moved enough, and a search where that is due."""
-    share, motion, way = 0.0, np.zeros(3), state.way
-    geometry = state.geometry
+    twist, period, way, geometry = np.zeros(3), math.inf, state.way, state.geometry
     if geometry is None or not same_kind(scan, geometry):
         geometry = scan_geometry(scan, state.T_base_laser, 5)
     if state.last is not None:
-        moved = se2.between(state.last.pose, row.pose)
+        moved, period = se2.between(state.last.pose, row.pose), row.stamp - state.last.stamp
         way += math.hypot(moved[0], moved[1])
-        share = share_of_a_beam(scan, row.stamp - state.last.stamp)
-        motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ se2.log(moved)
+        twist = se2.log(moved) / period
     state = replace(state, last=row, way=way, geometry=geometry)
     if state.at_keyframe is not None:
         moved = se2.between(state.at_keyframe.pose, row.pose)
         if math.hypot(moved[0], moved[1]) < DISTANCE and abs(moved[2]) < TURNED:
             return state
-    state = _with_keyframe(state, row, MATCHER.features(scan, geometry, motion, share))
+    share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
+    motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ twist * (period if share > 0.0 else 0.0)
+    state = _with_keyframe(state, row, scan, twist, MATCHER.features(scan, geometry, motion, share))
     turned = abs(math.remainder(row.pose[2] - state.looked[1], 2 * math.pi))
     if way - state.looked[0] < _EVERY[0] and turned < _EVERY[1]:
         return state
     return _looked(replace(state, looked=(way, float(row.pose[2]))))
 
 
-def _with_keyframe(state: MapperState, row: PathRow, features) -> MapperState:
+def _with_keyframe(
+    state: MapperState, row: PathRow, scan: LaserScan, twist: np.ndarray, features: Features
+) -> MapperState:
     before = state.at_keyframe
-    if before is None:
-        first = Keyframe(row.stamp, row.pose, np.diag([1e-6] * 3), state.way, features)
-        return _solved(replace(state, keyframes=(first,), poses=row.pose[None].copy(), at_keyframe=row))
-    moved = se2.between(before.pose, row.pose)
-    covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
-    A = se2.adjoint(se2.inverse(moved))
-    return replace(
-        state,
-        keyframes=(*state.keyframes, Keyframe(row.stamp, row.pose, covariance, state.way, features)),
-        poses=np.concatenate([state.poses, se2.compose(state.poses[-1], moved)[None]]),
-        at_keyframe=row,
-        since=A @ state.since @ A.T + covariance,
-    )
-
-
-def ways(keyframes: Sequence[Keyframe]) -> Float[np.ndarray, " n"]:
-    """Return the way [m] at each keyframe."""
-    return np.array([k.way for k in keyframes])
-
-
-def odometry_edges(keyframes: Sequence[Keyframe]) -> Edges:
-    """Return the edges from each keyframe to the next."""
-    n, odom = len(keyframes), np.array([k.odom for k in keyframes])
-    covariance = np.array([k.covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
-    return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
+    if before is None or state.graph is None:
+        first = PoseGraph(row.pose[None], no_edges(), no_edges())
+        graph, covariance = incremental.init(first), np.zeros((3, 3))
+    else:
+        covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
+        n, moved = len(state.keyframes), se2.between(before.pose, row.pose)
+        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariance[None])
+        graph = incremental.step(state.graph, edge)
+    keyframe = Keyframe(scan, row.pose, twist, covariance, state.way, features)
+    return replace(state, graph=graph, keyframes=(*state.keyframes, keyframe), at_keyframe=row)
 
 
 def closure_edges(matches: Sequence[Match]) -> Edges:
@@ -167,32 +168,11 @@ def closure_edges(matches: Sequence[Match]) -> Edges:
 
 
 def _solved(state: MapperState) -> MapperState:
-    """Solve the graph; robustly, where a closure is off by more than 99.9 %."""
-    closures = closure_edges([state.matches[a] for a in state.accepted])
-    graph = PoseGraph(state.poses, odometry_edges(state.keyframes), closures)
-    solved = solver.optimize(graph)
-    if np.any(solved.closure_chi2 > CHI2):
-        solved = solver.optimize_robust(graph)
-    return replace(state, solved=solved, poses=solved.poses, since=np.zeros((3, 3)))
-
-
-def odometry_between(keyframes: Sequence[Keyframe], i: int, j: int) -> Edge:
-    """Return keyframe j seen from keyframe i by odometry alone, with its covariance."""
-    if i == j:
-        return np.zeros(3), np.zeros((3, 3))
-    if i > j:
-        return reversed_edge(odometry_between(keyframes, j, i))
-    odom = np.array([k.odom for k in keyframes[i + 1 : j + 1]])
-    A = adjoints(se2.between(np.broadcast_to(odom[-1], odom.shape), odom))
-    S = np.array([k.covariance for k in keyframes[i + 1 : j + 1]])
-    return se2.between(keyframes[i].odom, odom[-1]), np.einsum("kab,kbc,kdc->ad", A, S, A)
-
-
-def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float) -> Int[np.ndarray, " k"]:
-    """Return the rows within so much of the way [m] about row c, c last."""
-    low, high = np.searchsorted(way, way[c] - before), np.searchsorted(way, way[c] + after, side="right")
-    low, high = max(low, c - _MOST), min(high, c + _MOST + 1)
-    return np.array([*range(low, c), *range(c + 1, high), c])
+    """Add the accepted matches that wait to the graph, and solve it."""
+    assert state.graph is not None
+    new = state.accepted[len(state.graph.weights) :]
+    edges = closure_edges([state.matches[a] for a in new])
+    return replace(state, graph=incremental.step(state.graph, None, edges))
 
 
 def _place(state: MapperState, c: int) -> Place:
@@ -215,15 +195,13 @@ class _Candidate(NamedTuple):
 
 def _candidates(state: MapperState) -> list[_Candidate]:
     """Return old keyframes near which the base may be, best known first, apart from each other."""
-    assert state.solved is not None
-    way, newest, s = ways(state.keyframes), state.poses[-1], len(state.solved.poses) - 1
-    old = np.flatnonzero(way[: s + 1] < way[-1] - _ELSEWHERE)
+    assert state.graph is not None
+    way, newest = ways(state.keyframes), state.poses[-1]
+    old = np.flatnonzero(way < way[-1] - _ELSEWHERE)
     if len(old) == 0:
         return []
     near = np.hypot(*(state.poses[old, :2] - newest[:2]).T)
-    S = solver.relative_covariances(state.solved, old, np.full(len(old), s))
-    A = se2.adjoint(se2.between(newest, state.poses[s]))
-    S = A @ S @ A.T + state.since
+    S = incremental.relative_covariances(state.graph, old, np.full(len(old), len(way) - 1))
     back = se2.between(np.broadcast_to(newest, (len(old), 3)), state.poses[old])
     u = back[:, :2] / np.maximum(near, 1e-6)[:, None]
     variance = np.einsum("ka,kab,kb->k", u, S[:, :2, :2], u)
@@ -265,11 +243,11 @@ def _judged(state: MapperState) -> MapperState:
     new, match = len(state.matches) - 1, state.matches[-1]
     if match.gate:
         return state
-    assert state.solved is not None
+    assert state.graph is not None
     way = ways(state.keyframes)
     if match.evidence.window < _SURE:
         state = replace(state, accepted=(*state.accepted, new))
-        due = way[-1] - way[len(state.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
+        due = way[-1] - way[len(state.graph.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
         return _solved(state) if due else state
     near = [a for a in range(new) if not state.matches[a].gate and _beside(way, state.matches[a], match)][-_OTHERS:]
     near.append(new)
@@ -281,9 +259,23 @@ def _judged(state: MapperState) -> MapperState:
     closed = max((way[state.matches[a].j] for a in state.accepted), default=0.0)
     if len(clique) < (3 if way[-1] - closed > _LONG else 2):
         return state
-    taken = tuple(sorted({*state.accepted, *(near[a] for a in clique)}))
-    solved = _solved(replace(state, accepted=taken))
+    taken = [near[a] for a in clique if near[a] not in state.accepted]
+    solved = _solved(replace(state, accepted=(*state.accepted, *taken)))
     return state if _is_looked_through(solved) else solved
+
+
+def settled(state: MapperState) -> MapperState:
+    """Solve at the end, and take the matches that waited where the graph now leaves no room for another place."""
+    if state.graph is None:
+        return state
+    state = _solved(state)
+    waiting = [a for a, m in enumerate(state.matches) if m.gate in ("", "uniqueness") and a not in state.accepted]
+    edges = closure_edges([state.matches[a] for a in waiting])
+    S = incremental.relative_covariances(state.graph, edges.i, edges.j)
+    window = loop_closure.WINDOW * np.sqrt(np.linalg.eigvalsh(S[:, :2, :2])[:, -1])
+    good = (innovation_chi2(state.poses, edges, S) < CHI2) & (window < _SURE)
+    more = tuple(a for a, is_good in zip(waiting, good, strict=True) if is_good)
+    return _solved(replace(state, accepted=(*state.accepted, *more))) if more else state
 
 
 def _beside(way: np.ndarray, a: Match, b: Match) -> bool:
@@ -292,7 +284,8 @@ def _beside(way: np.ndarray, a: Match, b: Match) -> bool:
 
 def _agree(state: MapperState, way: np.ndarray, a: Match, b: Match) -> bool:
     """Whether two matches from different places agree, by the odometry between their ends."""
-    if abs(way[a.j] - way[b.j]) < 0.9 * _EVERY[0] and abs(state.keyframes[a.j].odom[2] - state.keyframes[b.j].odom[2]) < 0.9 * _EVERY[1]:
+    turned = math.remainder(state.keyframes[a.j].odom[2] - state.keyframes[b.j].odom[2], 2 * math.pi)
+    if abs(way[a.j] - way[b.j]) < 0.9 * _EVERY[0] and abs(turned) < 0.9 * _EVERY[1]:
         return False
     now, old = (odometry_between(state.keyframes, *ends) for ends in ((a.j, b.j), (b.i, a.i)))
     return cycle_chi2((a.pose, a.covariance), now, reversed_edge((b.pose, b.covariance)), old) < CHI2
@@ -311,3 +304,26 @@ def _is_looked_through(state: MapperState) -> bool:
             pose = se2.between(state.poses[place.middle], state.poses[k])
             through.append(loop_closure.seen_through(state.keyframes[k].features, place.local_map, pose))
     return bool(through) and float(np.mean(through)) > loop_closure.THROUGH
+
+
+def on_map(
+    keyframes: Sequence[Keyframe],
+    poses: Float[np.ndarray, "n 3"],
+    covariances: Float[np.ndarray, "n 3 3"],
+    rows: Sequence[PathRow],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 3"]]:
+    """Return the poses (k, 3) of rows of the localizer's path on the map, and the covariance of their ξ.
+
+    How far a keyframe's pose (n, 3) is from odom goes over into that of the next one with time. The covariances
+    (n, 3, 3) of the keyframes grow with the way until the next.
+    """
+    stamps, odom = np.array([row.stamp for row in rows]), np.array([row.pose for row in rows])
+    at, before = np.array([k.stamp for k in keyframes]), np.array([k.odom for k in keyframes])
+    a = np.clip(np.searchsorted(at, stamps, side="right") - 1, 0, len(at) - 1)
+    b = np.minimum(a + 1, len(at) - 1)
+    moved = se2.between(before[a], odom)
+    part = np.clip((stamps - at[a]) / np.where(b > a, at[b] - at[a], 1.0), 0.0, 1.0)
+    found = se2.interpolate(se2.compose(poses[a], moved), se2.compose(poses[b], se2.between(before[b], odom)), part)
+    A = adjoints(se2.between(moved, np.zeros_like(moved)))
+    since = np.hypot(moved[:, 0], moved[:, 1])[:, None, None] * np.diag(DRIFT)
+    return found, A @ covariances[a] @ A.transpose(0, 2, 1) + since

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.keyframes import Keyframe, Place, place_of
-from longreach.mapping.mapper import neighbours, odometry_edges, ways
+from longreach.mapping.keyframes import Keyframe, Place, neighbours, odometry_edges, place_of, ways
 from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
 from longreach.mapping.solver import Solved
 
