@@ -35,7 +35,7 @@ class Edges:
         )
         for e in np.flatnonzero(self.i == self.j).tolist():
             raise MappingError(f"Edge {e} joins pose {self.i[e]} with itself; an edge joins two poses.")
-        for e in np.flatnonzero(~_positive_definite(self.covariance)).tolist():
+        for e in np.flatnonzero(~positive_definite(self.covariance)).tolist():
             raise MappingError(
                 f"The covariance of edge {e}, of poses {self.i[e]} and {self.j[e]}, is not positive definite; "
                 "give a direction that was not measured a large variance."
@@ -187,7 +187,7 @@ def frozen(value: np.ndarray, shape: tuple[int, ...], kind: type, what: str) -> 
     return array
 
 
-def _positive_definite(P: np.ndarray) -> np.ndarray:
+def positive_definite(P: np.ndarray) -> np.ndarray:
     """Return (m,) which of the matrices (m, 3, 3) are symmetric and positive definite, by their leading minors."""
     a, b, c, d, e, f = P[:, 0, 0], P[:, 1, 0], P[:, 1, 1], P[:, 2, 0], P[:, 2, 1], P[:, 2, 2]
     scale = np.sqrt(np.abs(a * c)), np.sqrt(np.abs(a * f)), np.sqrt(np.abs(c * f))
