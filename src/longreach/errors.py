@@ -31,3 +31,7 @@ class ControlError(LongreachError):
 
 class LiveError(LongreachError):
     """A robot at the other end of a network cannot be reached, refuses a command, or was stopped."""
+
+
+class MappingError(LongreachError):
+    """A map, its pose graph or its file cannot be used."""

@@ -97,20 +97,19 @@ def estimate(
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    recording, found = examine(recording, robot, sensor_mount(recording, robot, "imu"))
-    sources = _sources(recording, robot, config)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
 
-    recording, sources, done, contradictions = _agreeing(recording, robot, config, sources, tell)
+    done = localized(recording, robot, config, tell)  # (3.27)-(3.29)
+    recording = done.recording
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
-    alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in sources else ()
+    alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in done.sources else ()
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
 
     tell("evaluation", 0.0)
     rows = {name: _at_rows(path, recording) for name, path in estimated.items() if len(path)}
-    matches = alone if "wheels" in sources else done.output.matches
+    matches = alone if "wheels" in done.sources else done.output.matches
     dead_reckoning = {
         "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans]),
         "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
@@ -118,48 +117,50 @@ def estimate(
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
-    remarks = (*recording.remarks, *found, *contradictions, *_remarks(wheels, done), *evaluation.remarks)
+    remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
     verdict = plausibility.verdict(done.output.corrections)
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation, verdict)
 
 
-class _Done(NamedTuple):
-    """The localizer after all readings, and all that it gave out."""
+class Done(NamedTuple):
+    """The localizer after all readings, and all that it gave out.
+
+    recording, sources: what was fused, after what was wrong with it was put right or left out; remarks: of that.
+    """
 
     state: LocalizerState
     output: Output
+    recording: Recording
+    sources: tuple[Source, ...]
+    remarks: tuple[str, ...]
 
 
-def _agreeing(
-    recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: tuple[Source, ...], tell: Progress
-) -> tuple[Recording, tuple[Source, ...], _Done, list[str]]:
-    """Estimate; where a source contradicts the others, put it right or leave it out, and estimate anew.
+def localized(recording: Recording, robot: RobotDescription, config: EstimateConfig, tell: Progress) -> Done:
+    """Examine a recording and estimate; where a source contradicts the others, put it right or leave it out, and again.
 
     Sources that were asked for by name are not left out.
     """
-    remarks: list[str] = []
+    recording, found = examine(recording, robot, sensor_mount(recording, robot, "imu"))
+    sources, remarks = _sources(recording, robot, config), list(found)
     while True:
-        done = _localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
-        mount_is_known = has_mount(recording, robot, "lidar")
-        said = plausibility.motions(done.output.matches, done.output.events)
-        fault = plausibility.fault(said, mount_is_known)
-        if fault is None or fault.remark in remarks:
-            break
+        state, output = _folded(recording, robot, config, sources, tell)
+        done = Done(state, output, recording, sources, tuple(remarks))
+        said = plausibility.motions(output.matches, output.events)
+        fault = plausibility.fault(said, has_mount(recording, robot, "lidar"))
+        if fault is None or len(remarks) == len(found) + _FAULTS:
+            return done
         remarks.append(fault.remark)
-        if len(remarks) == _FAULTS:
-            break
-        if fault.mend == "leave" and config.sources is None:
-            sources = tuple(source for source in sources if source != fault.source)
-        elif fault.mend in ("leave", "note"):
-            break
+        if fault.mend == "note" or (fault.mend == "leave" and config.sources is not None):
+            return done._replace(remarks=tuple(remarks))
+        if fault.mend == "leave":
+            sources = tuple[Source, ...](source for source in sources if source != fault.source)
         recording = plausibility.mended(recording, fault)
-    return recording, sources, done, remarks
 
 
-def _localized(
+def _folded(
     recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: Sequence[Source], tell: Progress
-) -> _Done:
+) -> tuple[LocalizerState, Output]:
     """Fold the localizer's step over all readings; they are in order, so it needs no history."""
     found = {"wheels": recording.wheels, "imu": recording.imu, "fixes": recording.fixes, "lidar": recording.scans}
     readings: list[Reading] = [reading for name in found if name in sources for reading in found[name]]
@@ -181,7 +182,7 @@ def _localized(
             f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes show no motion; it takes two good "
             "wheel records or scans."
         )
-    return _Done(state, output)
+    return state, output
 
 
 def _path(rows: Sequence[Row]) -> PoseTrajectory:
@@ -189,7 +190,7 @@ def _path(rows: Sequence[Row]) -> PoseTrajectory:
     return PoseTrajectory(np.array(stamps), np.array(poses), np.array(covariances))
 
 
-def _smoothed(done: _Done) -> PoseTrajectory:
+def _smoothed(done: Done) -> PoseTrajectory:
     """Look back over all events; with fixes from where the start is on the map."""
     rows, on_map, events = done.output.rows, done.output.rows_on_map, planar_filter.in_order(done.output.events)
     pose, P = np.zeros(3), None
@@ -256,7 +257,7 @@ def _found(matches: Sequence[ScanMatch]) -> tuple[RelativePoseMeasurement, ...]:
     return tuple(match.measurement for match in matches if match.measurement is not None)
 
 
-def _with_consistency(evaluation: Evaluation, done: _Done, fixes: set[str]) -> Metrics:
+def _with_consistency(evaluation: Evaluation, done: Done, fixes: set[str]) -> Metrics:
     """Add the NIS of each source to the metrics of what it corrects, and the NEES of matches to those of the LIDAR."""
     metrics, matches = {name: dict(one) for name, one in evaluation.metrics.items()}, _found(done.output.matches)
     for source, consistency in innovations(done.output.corrections).items():
@@ -287,7 +288,7 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(wheels: WheelOdometry, done: _Done) -> list[str]:
+def _remarks(wheels: WheelOdometry, done: Done) -> list[str]:
     remarks, matches = [], done.output.matches
     if wheels.refused:
         remarks.append(f"{wheels.refused} records of the wheels are not finite; they were passed over.")

@@ -162,6 +162,22 @@ def _control() -> None:
     obstacles.met_by(gate.obstacles, two)
 
 
+def _mapping() -> None:
+    from longreach.mapping.map_file import Map, Session
+    from longreach.mapping.occupancy import render
+    from longreach.mapping.pose_graph import Edges, PoseGraph
+    from longreach.mapping.solver import optimize, relative_covariances
+    from longreach.measurement import LaserScan
+
+    ends = np.array([0, 1, 0]), np.array([1, 2, 2])
+    edges = Edges(*ends, np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.1, 0.0, 0.0]]), np.stack([np.eye(3)] * 3))
+    solved = optimize(PoseGraph(np.zeros((3, 3)), edges[:2], edges[2:]))
+    relative_covariances(solved, *ends)
+    scans = tuple(LaserScan(0.0, np.ones(3), 0.0, 0.1) for _ in range(3))
+    session = Session("warm", "none", {"laser": np.eye(4)})
+    render(Map(solved.graph, solved.weights, scans, np.zeros((3, 3)), np.zeros(3, dtype=int), (session,)))
+
+
 def _sim() -> None:
     from longreach.io.robots import load_robot
     from longreach.sim.monte_carlo import drive_many
@@ -201,6 +217,7 @@ ROOMS: Mapping[str, Callable[[], None]] = {
     "task priority": _task_priority,
     "sqp": _sqp,
     "control": _control,
+    "mapping": _mapping,
     "sim": _sim,
     "kinematic": _kinematic,
     "physics": _physics,

@@ -93,3 +93,22 @@ def relation_metrics(errors: RelationErrors, longest_span: float | None = None) 
     for part in ("mean", "median", "std"):
         found[f"{prefix}_rotation_{part}"] = metric(np.degrees(getattr(s.rotation, part)), "deg")
     return found
+
+
+def long_relation_metrics(errors: RelationErrors, shortest_span: float = 60.0) -> dict[str, Metric]:
+    """Return what shows loop closures: means of relations beyond a span [s], and the 99th percentile of all.
+
+    One false closure hides in a mean over thousands of short relations, and shows here.
+    """
+    found, far = dict[str, Metric](), errors.span > shortest_span
+    prefix = f"relations_over_{shortest_span:g}s"
+    found[f"{prefix}_used"] = metric(int(np.count_nonzero(far)), "")
+    for name, e, unit in (
+        ("translation", errors.translation, "m"),
+        ("rotation", np.degrees(errors.rotation), "deg"),
+    ):
+        if np.any(far):
+            found[f"{prefix}_{name}_mean"] = metric(float(e[far].mean()), unit)
+        if len(e):
+            found[f"relations_{name}_p99"] = metric(float(np.percentile(e, 99)), unit)
+    return found

@@ -44,6 +44,7 @@ _LOOKS = {
     "wheels": Look("wheels (W)", ORANGE, (0, (5, 1.5))),
     "lidar": Look("LIDAR (L)", GREEN, (0, (5, 1.5, 1.2, 1.5))),
     "fused": Look("fused", BLUE, "solid"),
+    "mapped": Look("mapped", VERMILION, "solid"),
 }
 _OTHERS = ((VERMILION, (0, (1.2, 1.2))), (PURPLE, (0, (8, 2))), (SKY, (0, (3, 1, 1, 1, 1, 1))))
 

@@ -58,8 +58,15 @@ _MAIN = (
     "final_heading_error",
     "relations_5s_translation_mean",
     "relations_5s_rotation_mean",
+    "relations_over_60s_translation_mean",
+    "relations_over_60s_rotation_mean",
+    "relations_translation_p99",
+    "relations_rotation_p99",
     "nees_mean",
     "path_length",
+    "keyframes",
+    "closures_accepted",
+    "closures_refused",
 )
 _NAMES = {
     "ate": "position error (ATE)",
@@ -76,15 +83,18 @@ _NAMES = {
     "lidar": "LIDAR",
     "lower": "lower 95 % bound",
     "upper": "upper 95 % bound",
+    "p99": "99th percentile",
 }
 
 
 def label(name: str) -> str:
     """Return a metric's key as words: `rpe_5m_rotation_mean` → Relative error over 5 m, rotation mean."""
     words = []
-    which = "up to" if name.startswith("relations") else "over"
+    which = "up to" if name.startswith("relations") and "_over_" not in name else "over"
     for part in name.split("_"):
         length = re.fullmatch(r"(\d+(?:\.\d+)?)(m|s)", part)
+        if part == "over":
+            continue
         words.append(f"{which} {length[1]} {length[2]}," if length else _NAMES.get(part, part))
     text = " ".join(words).rstrip(",").replace("error error", "error")
     return text[:1].upper() + text[1:]

@@ -60,17 +60,18 @@ class PointToLine:
         """Fit from the prior; where less agrees than should, also from the best place in its window."""
         if features.count < _FEWEST:
             return f"only {features.count} beams see something"
-        found = self._fit(features, reference, prior, prior.pose)
+        found = self.fit(features, reference, prior, prior.pose)
         if found.inlier_ratio < _POOR:
             start, sigma = np.array(prior.pose), np.minimum(prior.sigma, _WIDEST)
             points, m, origin = features.values, features.count, reference.surfaces.origin
             _correlative_kernels.search(points, m, prior.pose, sigma, _WINDOW, origin, *reference.field, start)
             if start.tolist() != prior.pose.tolist():  # nor was nothing found
-                other = self._fit(features, reference, prior, start)
+                other = self.fit(features, reference, prior, start)
                 found = other if other.inlier_ratio > found.inlier_ratio else found
         return _fault(found) or found
 
-    def _fit(self, features: Features, to: LocalMap, prior: Prior, start: np.ndarray) -> Fit:
+    def fit(self, features: Features, to: LocalMap, prior: Prior, start: np.ndarray) -> Fit:
+        """Fit from a start, under a prior, whatever comes of it."""
         values, m, reach, noise = features.values, features.count, features.reach, min(features.noise, 1.2 * to.noise)
         pose, covariance, shared, directions, rows, scale, agree = _point_to_line_kernels.match(
             values, m, reach, noise, self.settings, start, prior, to.surfaces

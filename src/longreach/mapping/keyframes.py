@@ -1,0 +1,146 @@
+"""Keyframes of the map: scans that stand for a place, each with its surfaces and its motion since the one before.
+
+A scan becomes one where the base has moved by 0.5 m or turned by 20° since the last. Its odometry edge is what the
+localizer made of wheels, scans and IMU in between.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import median
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from longreach.geometry import se2
+from longreach.mapping.consistency import Edge, reversed_edge
+from longreach.mapping.pose_graph import Edges, adjoints
+from longreach.measurement import LaserScan
+from longreach.odometry import local_map
+from longreach.odometry.lidar import LidarConfig
+from longreach.odometry.local_map import LocalMap
+from longreach.odometry.matchers.point_to_line import PointToLine
+from longreach.odometry.matchers.scan_matcher import Features
+
+DISTANCE, TURNED = 0.5, math.radians(20.0)  # between keyframes [m, rad]
+# How a local map drifts, beyond what matches to it show: a variance a metre of the path [m²/m, rad²/m]. Over 100 m of
+# four real logs the heading's NEES is then 0.1 to 1.7, the position's 0.1 to 1.3 (1 is ideal; benchmarks/mapping.py).
+DRIFT = np.array([0.01**2, 0.01**2, math.radians(0.2) ** 2])
+_MOST = 20  # keyframes on either side in a place
+_DEFAULTS = LidarConfig()
+MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A scan that was taken at the pose `odom` (3,) in the frame odom.
+
+    twist (3,): of the base during the sweep [m/s, m/s, rad/s]. covariance (3, 3): of ξ of the motion since the last
+    keyframe. way [m]: along the path from the start. features: of the scan, in the base's frame.
+    """
+
+    scan: LaserScan
+    odom: Float[np.ndarray, "3"]
+    twist: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    way: float
+    features: Features
+
+    @property
+    def stamp(self) -> float:
+        """Of the scan [s]."""
+        return self.scan.stamp
+
+    @cached_property
+    def surfaces(self) -> local_map.Keyframe:
+        """The surfaces that the scan shows, in the base's frame."""
+        return local_map.keyframe(self.features, np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What neighbouring keyframes see together, in the frame of one of them.
+
+    keyframes: the middle one last. poses (k, 3): where they are in its frame. rows (k,): their numbers.
+    """
+
+    keyframes: Sequence[Keyframe]
+    poses: Float[np.ndarray, "k 3"]
+    rows: Int[np.ndarray, " k"]
+
+    @property
+    def middle(self) -> int:
+        """The number of the middle keyframe."""
+        return int(self.rows[-1])
+
+    @cached_property
+    def local_map(self) -> LocalMap:
+        """The surfaces of all, merged."""
+        placed = zip(self.keyframes, self.poses, strict=True)
+        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in placed])
+
+    @cached_property
+    def joined(self) -> Features:
+        """The returns of all, as one scan; beams keep their directions and lengths."""
+        parts = []
+        for k, (x, y, t) in zip(self.keyframes, self.poses.tolist(), strict=True):
+            values, c, s = k.features.values[:, : k.features.count].copy(), math.cos(t), math.sin(t)
+            for row, dx, dy in ((0, x, y), (2, 0.0, 0.0), (5, 0.0, 0.0)):  # points, beams, normals
+                a, b = values[row].copy(), values[row + 1].copy()
+                values[row], values[row + 1] = c * a - s * b + dx, s * a + c * b + dy
+            parts.append(values)
+        values = np.ascontiguousarray(np.concatenate(parts, axis=1))
+        noise, reach = (median(getattr(k.features, name) for k in self.keyframes) for name in ("noise", "reach"))
+        return Features(values, values.shape[1], noise, reach)
+
+
+def motion_covariance(
+    before: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
+    after: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
+    way: float,
+) -> Float[np.ndarray, "3 3"]:
+    """Return the covariance (3, 3) of the motion between two poses (3,) with covariances (3, 3), along a way [m].
+
+    It is what the later covariance has more than the earlier one, for errors of odometry add up, and the drift.
+    """
+    A = se2.adjoint(se2.between(after[0], before[0]))
+    more = after[1] - A @ before[1] @ A.T
+    values, vectors = np.linalg.eigh(0.5 * (more + more.T))
+    return vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(DRIFT * max(way, 0.01))
+
+
+def place_of(keyframes: Sequence[Keyframe], rows: Int[np.ndarray, " k"], poses: Float[np.ndarray, "k 3"]) -> Place:
+    """Return the place of some rows of keyframes, the middle one last, at poses (k, 3) in any one frame."""
+    return Place([keyframes[q] for q in rows], se2.between(np.broadcast_to(poses[-1], poses.shape), poses), rows)
+
+
+def ways(keyframes: Sequence[Keyframe]) -> Float[np.ndarray, " n"]:
+    """Return the way [m] at each keyframe."""
+    return np.array([k.way for k in keyframes])
+
+
+def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float) -> Int[np.ndarray, " k"]:
+    """Return the rows within so much of the way [m] about row c, c last."""
+    low, high = np.searchsorted(way, way[c] - before), np.searchsorted(way, way[c] + after, side="right")
+    low, high = max(low, c - _MOST), min(high, c + _MOST + 1)
+    return np.array([*range(low, c), *range(c + 1, high), c])
+
+
+def odometry_edges(keyframes: Sequence[Keyframe]) -> Edges:
+    """Return the edges from each keyframe to the next."""
+    n, odom = len(keyframes), np.array([k.odom for k in keyframes])
+    covariance = np.array([k.covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
+    return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
+
+
+def odometry_between(keyframes: Sequence[Keyframe], i: int, j: int) -> Edge:
+    """Return keyframe j seen from keyframe i by odometry alone, with the covariance of its ξ."""
+    if i == j:
+        return np.zeros(3), np.zeros((3, 3))
+    if i > j:
+        return reversed_edge(odometry_between(keyframes, j, i))
+    odom = np.array([k.odom for k in keyframes[i + 1 : j + 1]])
+    A = adjoints(se2.between(np.broadcast_to(odom[-1], odom.shape), odom))
+    S = np.array([k.covariance for k in keyframes[i + 1 : j + 1]])
+    return se2.between(keyframes[i].odom, odom[-1]), np.einsum("kab,kbc,kdc->ad", A, S, A)
