@@ -22,7 +22,7 @@ from longreach.localization.localizer import LocalizerState, Output, Reading, Ro
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
-from longreach.odometry.wheel import wheel_odometry
+from longreach.odometry.wheel import WheelOdometry, wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
@@ -110,7 +110,7 @@ def estimate(
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, done), *evaluation.remarks)
+    remarks = (*recording.remarks, *_remarks(wheels, done), *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
 
@@ -243,10 +243,14 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, done: _Done) -> list[str]:
+def _remarks(wheels: WheelOdometry, done: _Done) -> list[str]:
     remarks, matches = [], done.output.matches
-    if breaks:
-        remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
+    if wheels.wraps:
+        remarks.append(
+            f"The wheels' readings start again after {wheels.wrap_range:g}; they were continued {wheels.wraps} times."
+        )
+    if wheels.breaks:
+        remarks.append(f"The wheels' counts jumped {wheels.breaks} times; nothing was taken across the jumps.")
     if done.state.now.fixed:
         remarks.append("The fixes lie too near each other to show the heading on the map, so nothing is localized.")
     if done.state.buffer.waiting:
