@@ -19,7 +19,8 @@ class Model(NamedTuple):
 
     signal: COUNTS, RATES or POSES. ranges (k,): after which counts may start again, looked for where `wrap` is 0.
     fastest: of a wheel [counts/s]. forward (3, w): twist from wheel speeds. residual (w,), or (0,) where slip cannot be
-    observed: slip speed [m/s] from wheel speeds. unit: [rad] of one count. wrap: counts after which an encoder starts
+    observed: slip speed [m/s] from wheel speeds. wheelbase: where the last
+    number is a steering angle [m], else 0. unit: [rad] of one count. wrap: counts after which an encoder starts
     again, 0 if never. bounds (3,): fastest possible twist [m/s, m/s, rad/s]. longest_gap [s]. slip_window [s].
     growing: whether the covariance is the growing one. noise (7,): as in `WheelNoise`. lever [m]: at which a wheel
     turns the base. constant (3,): variance a second of (3.23). rounding (3,): variance of a reading [m², m², rad²].
@@ -28,6 +29,7 @@ class Model(NamedTuple):
     signal: int
     forward: np.ndarray
     residual: np.ndarray
+    wheelbase: float
     unit: float
     wrap: float
     ranges: np.ndarray
@@ -104,6 +106,8 @@ def _displacement(model, before, after, dt, wrap, xi):
             xi[i] += model.forward[i, wheel] * turned
         if len(model.residual) > 0:
             disagreement += model.residual[wheel] * turned
+    if model.wheelbase > 0.0:
+        xi[2] = xi[0] * math.tan(0.5 * (before[-1] + after[-1])) / model.wheelbase
     return disagreement
 
 

@@ -41,6 +41,7 @@ from longreach.errors import EstimationError
 from longreach.measurement import Odometry, RelativePoseMeasurement, Wheels, WheelSpeeds, frozen_array
 from longreach.odometry import _wheel_kernels
 from longreach.odometry._wheel_kernels import COUNTS, POSES, RATES, Model
+from longreach.robot.bases import AckermannBase
 from longreach.robot.description import RobotDescription
 
 _FLOOR = 1e-10  # [m², rad²], of a reading: a hundredth of a millimetre keeps covariances definite
@@ -210,6 +211,7 @@ def _model(
         signal=kind,
         forward=frozen_array(forward, (3, None), "Model.forward"),
         residual=frozen_array(residual, (None,), "Model.residual"),
+        wheelbase=base.wheelbase if kind != POSES and isinstance(base, AckermannBase) and forward.shape[1] > 1 else 0.0,
         unit=unit,
         wrap=wrap,
         ranges=frozen_array(ranges, (None,), "Model.ranges"),

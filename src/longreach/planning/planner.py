@@ -39,6 +39,8 @@ def plan(
         PlanningError: there is no such method or option, or the reference or the start does not fit the robot.
     """
     check_method(method)
+    if robot.description.base is not None and robot.description.base.kind == "ackermann":
+        raise PlanningError(f"{robot.name} is steered like a car, and plans would turn it on the spot; none are made.")
     robot, reference = turned_like(robot, np.ravel(q0)), _turned_like(reference, np.ravel(q0))
     if iterations is not None:
         if iterations < 1:

@@ -275,4 +275,50 @@ class OmniBase(_Wheeled):
         return _frozen(0.5 * self.wheel_radius * U[:, 3:].T)
 
 
-Base = MecanumBase | DifferentialBase | OmniBase
+class AckermannBase(_Wheeled):
+    """Steered like a car: speeds of rear wheels and one steering angle; base_link is in the middle of the rear axle.
+
+    Its twist is not linear in the numbers: v_x is the wheels' mean (`forward_matrix`), and ω = v_x tan δ / wheelbase.
+    """
+
+    kind: Literal["ackermann"] = "ackermann"
+    wheelbase: Length = Field(description="Distance of the front axle from the rear one [m].")
+    track_width: Length = Field(description="Distance between the rear wheels [m].")
+    rear_wheels: tuple[str, ...] = Field(min_length=1, description="The rear wheels, which are averaged.")
+    steering: str = Field(description="The joint whose position is the steering angle δ [rad], positive to the left.")
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """The joints in the order of a measurement's numbers: the rear wheels, the steering."""
+        return (*self.rear_wheels, self.steering)
+
+    @property
+    def lever(self) -> float:
+        """Half the track width [m]."""
+        return 0.5 * self.track_width
+
+    @property
+    def half_size(self) -> tuple[float, float]:
+        """Half the length and half the width of what stands on the floor [m]: around both axles, the rear one in it."""
+        return self.wheelbase + self.wheel_radius, self.lever + _TYRE
+
+    @cached_property
+    def inverse_matrix(self) -> Float[np.ndarray, "w 3"]:
+        """Wheel speeds [rad/s] from a body twist; none of the steering."""
+        rows = [[1.0, 0.0, (-1) ** i * self.lever] for i in range(len(self.rear_wheels))]
+        return _frozen(np.array([*rows, [0.0, 0.0, 0.0]]) / self.wheel_radius)
+
+    @cached_property
+    def forward_matrix(self) -> Float[np.ndarray, "3 w"]:
+        """The forward speed [m/s] from the rear wheels' speeds; what turns is the steering, which is not in here."""
+        matrix = np.zeros((3, len(self.wheel_names)))
+        matrix[0, :-1] = self.wheel_radius / len(self.rear_wheels)
+        return _frozen(matrix)
+
+    @cached_property
+    def residual_matrix(self) -> Float[np.ndarray, "0 w"]:
+        """Slip is not observed."""
+        return _frozen(np.zeros((0, len(self.wheel_names))))
+
+
+Base = MecanumBase | DifferentialBase | OmniBase | AckermannBase

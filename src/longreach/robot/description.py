@@ -220,4 +220,4 @@ class RobotDescription(_Described):
     @property
     def holonomic(self) -> bool:
         """Whether the base can move sideways."""
-        return self.drive != "differential" if self.base is None else self.base.kind != "differential"
+        return self.drive != "differential" if self.base is None else self.base.kind in ("mecanum", "omni")
