@@ -50,7 +50,7 @@ def validated(model: type[Model], values: Any, where: str) -> Model:
 
 def _sentence(model: type[BaseModel], error: ValidationError) -> str:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"] if part not in ("mecanum", "differential", "omni"))
+    key = ".".join(str(part) for part in first["loc"] if part not in ("mecanum", "differential", "omni", "ackermann"))
     more = f" ({len(error.errors()) - 1} more keys are wrong.)" if len(error.errors()) > 1 else ""
     if first["type"] == "extra_forbidden":
         known = ", ".join(_keys_at(model, first["loc"][:-1]))
