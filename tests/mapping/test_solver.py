@@ -142,6 +142,11 @@ def test_wrong_closures_are_withdrawn_and_true_ones_kept_where_half_are_wrong(rn
     assert np.linalg.norm(optimize(graph).poses[:, :2] - truth[:, :2], axis=1).max() > 2.0
 
 
+def test_true_closures_at_the_end_of_a_long_open_stretch_are_taken_back():
+    graph, _, wrong = street_graph(np.random.default_rng(5), n=400, closures=60, wrong=0.8, width=10)
+    np.testing.assert_array_equal(optimize_robust(graph).weights, ~wrong)  # graduated non-convexity alone loses 5 of 8
+
+
 def test_without_wrong_closures_a_robust_solution_is_the_plain_one(rng):
     graph, _, _ = street_graph(rng)
     solved = optimize_robust(graph, probability=0.999999)
