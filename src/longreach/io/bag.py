@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from longreach.errors import RecordingError
 from longreach.io import records
 from longreach.io.bag_file import BagFile, Topic, open_bag
-from longreach.io.bag_topics import JOINT_STATE, TRANSFORMS, choose_topics, listed
+from longreach.io.bag_topics import JOINT_STATE, TRANSFORMS, check_topics, choose_topics, listed, with_topics
 from longreach.io.frames import FrameTree
 from longreach.measurement import Recording
 from longreach.robot.description import RobotDescription
@@ -24,9 +24,13 @@ _SINCE_1970 = 1e8  # [s]; a clock that is beyond this counts from 1970
 
 @dataclass(eq=False)
 class _Sensor:
-    """What came in on one topic: stamps of the headers and of the recording [ns], and what was read."""
+    """What came in on one topic: stamps of the headers and of the recording [ns], and what was read.
+
+    clock: record: the times of recording stand for the headers' stamps.
+    """
 
     topic: Topic
+    clock: Literal["header", "record"] = "header"
     header_ns: list[int] = field(default_factory=list)
     receive_ns: list[int] = field(default_factory=list)
     read: list[Any] = field(default_factory=list)
@@ -36,7 +40,8 @@ class _Sensor:
         if value is None:
             self.left_out += 1
             return
-        self.header_ns.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
+        by_header = self.clock == "header"
+        self.header_ns.append(header.stamp.sec * 10**9 + header.stamp.nanosec if by_header else receive_ns)
         self.receive_ns.append(receive_ns)
         self.read.append(value)
 
@@ -52,6 +57,8 @@ def read_bag(
     progress: Callable[[float], None] | None = None,
     *,
     truth_topic: str | None = None,
+    topics: Mapping[str, str] | None = None,
+    clock: Literal["header", "record"] = "header",
 ) -> Recording:
     """Read the topics that the robot's description names, or the only one of a sensor's type.
 
@@ -59,17 +66,21 @@ def read_bag(
     repaired clock takes their place (`Recording.recorded_stamps`).
 
     Arguments: progress: called with how far it is, 0 to 1. truth_topic: in place of `robot.topics.truth`.
+    topics: likewise of sensors, as {"lidar": "/scan"}; they must be there. clock: what stamps the readings: their
+    headers, or the times of recording.
 
     Raises:
         RecordingError: the bag is damaged, or a topic is missing, ambiguous or of the wrong type.
     """
+    robot = with_topics(robot, topics or {})
     with open_bag(path) as bag:
         if not bag.topics:
             raise RecordingError(f"{path} holds no messages; record it again.")
+        check_topics(bag, topics or {})
         chosen, remarks = choose_topics(bag, robot, truth_topic)
         if not chosen.keys() & {"wheels", "lidar", "imu"}:
             raise RecordingError(f"{path} has neither wheels nor LIDAR nor IMU; it has {listed(bag.topics)}.")
-        sensors = {role: _Sensor(topic) for role, topic in chosen.items()}
+        sensors = {role: _Sensor(topic, clock) for role, topic in chosen.items()}
         tree = _read_all(bag, sensors, robot, progress or (lambda fraction: None))
     if "wheels" in sensors:
         needed = robot.topics.wheels is not None or not sensors.keys() & {"lidar", "imu"}
