@@ -1,4 +1,4 @@
-"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like the method section of a paper."""
+"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like a paper's method section."""
 
 import csv
 from collections import Counter
@@ -188,7 +188,15 @@ def write_map(mapped: Mapped, out: Path, progress: Progress | None = None) -> No
         )
         config = to_yaml(mapped.config)
         write_results(
-            folder, f"Map of {mapped.recording.name}", introduction, e.metrics, drawn, config, tell, e.remarks, _CAPTIONS
+            folder,
+            f"Map of {mapped.recording.name}",
+            introduction,
+            e.metrics,
+            drawn,
+            config,
+            tell,
+            e.remarks,
+            _CAPTIONS,
         )
 
 
