@@ -1,4 +1,4 @@
-"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like the method section of a paper."""
+"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like a paper's method section."""
 
 import csv
 from collections import Counter

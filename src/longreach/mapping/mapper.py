@@ -12,6 +12,7 @@ A recording is a fold of `step`, after which `refined` matches every keyframe to
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +112,7 @@ def init(T_base_laser: Float[np.ndarray, "4 4"]) -> MapperState:
 
 
 def step(state: MapperState, scans: Iterable[LaserScan], rows: Iterable[PathRow]) -> MapperState:
-    """Take scans, and rows of the localizer's path in the order of their stamps; a scan is used when its row is there."""
+    """Take scans, and rows of the localizer's path in the order of their stamps; a scan waits for its row."""
     waiting = [*state.waiting, *scans]
     by_stamp = {scan.stamp: scan for scan in waiting}
     for stamp, pose, covariance in rows:
@@ -227,17 +228,20 @@ def _looked(state: MapperState) -> MapperState:
     rows = neighbours(way, j, _BEHIND, 0.0)
     now = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
     for c in candidates:
-
-        def nearest(pose: np.ndarray, c: int = c.row) -> tuple[Place, np.ndarray]:
-            near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[j] - way[q] > _ELSEWHERE]
-            seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
-            best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
-            return _place(state, near[best]), seen[best]
-
+        nearest = partial(_nearest, state, c.row)
         match = loop_closure.compared(_place(state, c.row), now, c.mean, c.covariance, nearest)
         if match is not None:
             state = _judged(replace(state, matches=(*state.matches, match)))
     return state
+
+
+def _nearest(state: MapperState, c: int, pose: np.ndarray) -> tuple[Place, np.ndarray]:
+    """Return the place of the old keyframe nearest to a pose (3,), and where it is; both as seen from keyframe c."""
+    way = ways(state.keyframes)
+    near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[-1] - way[q] > _ELSEWHERE]
+    seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
+    best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
+    return _place(state, near[best]), seen[best]
 
 
 def _judged(state: MapperState) -> MapperState:
@@ -248,8 +252,8 @@ def _judged(state: MapperState) -> MapperState:
     assert state.graph is not None
     way = ways(state.keyframes)
     if match.evidence.window < _SURE:
-        state = replace(state, accepted=(*state.accepted, new))
         due = way[-1] - way[len(state.graph.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
+        state = replace(state, accepted=(*state.accepted, new))
         return _solved(state) if due else state
     near = [a for a in range(new) if not state.matches[a].gate and _beside(way, state.matches[a], match)][-_OTHERS:]
     near.append(new)
@@ -271,6 +275,7 @@ def settled(state: MapperState) -> MapperState:
     if state.graph is None:
         return state
     state = _solved(state)
+    assert state.graph is not None
     waiting = [a for a, m in enumerate(state.matches) if m.gate in ("", "uniqueness") and a not in state.accepted]
     edges = closure_edges([state.matches[a] for a in waiting])
     S = incremental.relative_covariances(state.graph, edges.i, edges.j)
