@@ -179,7 +179,7 @@ def compared(
         place, mean = nearer, se2.between(middle, mean)
         fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free)
     overlap = fit.rows / scan.count
-    found = covariance_of(fit)
+    found = covariance_of(fit) + now.bending + place.bending
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),

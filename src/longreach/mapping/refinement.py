@@ -12,13 +12,10 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.keyframes import Keyframe, Place, neighbours, odometry_edges, place_of, ways
+from longreach.mapping.keyframes import LOCAL, Keyframe, Place, neighbours, odometry_edges, place_of, ways
 from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
 from longreach.mapping.solver import Solved
 
-# Of the covariance of odometry's edges. Drift is what errors that last over many keyframes add up to; from one to the
-# next it is far less. With this the graph's χ² per degree of freedom is 0.6 to 1.1 on four real logs (1 is ideal).
-_LOCAL = 0.1
 _REACH = 2.5  # [m] from a keyframe to another pass,
 _PASSES = 4  # the nearest ones of which are taken
 _ELSEWHERE = 10.0  # [m] of path to another pass,
@@ -38,7 +35,7 @@ def refined(
     Once: what a second time changes is within what relations show of four real logs.
     """
     odometry = odometry_edges(keyframes)
-    odometry = Edges(odometry.i, odometry.j, odometry.z, _LOCAL * odometry.covariance)
+    odometry = Edges(odometry.i, odometry.j, odometry.z, LOCAL * odometry.covariance)
     return solver.optimize_robust(PoseGraph(poses, odometry, _passes(keyframes, poses, progress)))
 
 
