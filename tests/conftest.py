@@ -51,6 +51,15 @@ def data() -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def cases(data: Path) -> Path:
+    """The folder of small inputs as people report them, which stands beside that of the recordings, or skip."""
+    path = data.parent / "cases"
+    if not path.is_dir():
+        pytest.skip(f"there is no folder {path}")
+    return path
+
+
 TIERS = {"live": "system", "ros": "system", "view": "system", "real": "long"}  # of whole folders
 
 

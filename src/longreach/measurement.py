@@ -124,11 +124,11 @@ class Odometry(_Stamped):
 
 @dataclass(frozen=True, eq=False)
 class Imu(_Stamped):
-    """Angular velocity [rad/s] and specific force [m/s²], both in the sensor's frame."""
+    """Angular velocity [rad/s] and specific force [m/s²], both in the sensor's frame; None: there is no such sensor."""
 
     stamp: float
     angular_velocity: Float[np.ndarray, "3"]
-    acceleration: Float[np.ndarray, "3"]
+    acceleration: Float[np.ndarray, "3"] | None = None
     frame: str = "imu"
     _shapes: ClassVar = {"angular_velocity": (3,), "acceleration": (3,)}
 

@@ -5,6 +5,8 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
+# Reasons that are counted one by one: some hold a name or a place, and there is no end of those; ours.
+_REASONS, _OTHER = 100, "for another reason"
 _QUIET = 1.0  # between two lines in the log about the same reason [s]; each says how many there were
 
 
@@ -23,6 +25,8 @@ class RejectionCounts:
 
     def count(self, reason: str, topic: str) -> None:
         """Count one more and log it."""
+        if reason not in self.counts and len(self.counts) >= _REASONS:
+            reason = _OTHER
         self.counts[reason] += 1
         when, logged = self._logged.get(reason, (-_QUIET, 0))
         now = time.monotonic()
@@ -34,6 +38,6 @@ class RejectionCounts:
 
     def log_all(self) -> None:
         """Log what has not been logged yet."""
-        for reason, total in self.counts.items():
+        for reason, total in dict(self.counts).items():  # others may count meanwhile
             if total > self._logged.get(reason, (0.0, 0))[1]:
                 logging.getLogger(self.name).warning("Refused %d in all: %s.", total, reason)

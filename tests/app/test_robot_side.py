@@ -147,6 +147,25 @@ def test_a_client_that_vanishes_stops_the_robot_and_ends_its_plan_in_the_same_ti
     _within_limits(thing, records)
 
 
+def test_a_halt_of_the_loop_is_no_contact_of_the_base(thing):
+    """What the base was commanded last counts for as long as its driver goes on with it."""
+    body, records, halted = KinematicRobot(thing, seed=2), [], []
+
+    def wait_until(stamp):
+        body.advance(max(stamp - body.stamp, 0.0))
+        if stamp > 0.5 and not halted:
+            halted.append(stamp)
+            body.advance(10.0)
+
+    robot_side.run(
+        body, wait_until, thing, np.zeros(3),
+        lambda now: Orders(VelocityGoal(Command(now, np.zeros(6), base=_TWIST), now)),
+        records.append, lambda: "over" if body.stamp > 12.0 else "", _CONFIG,
+    )  # fmt: skip
+    assert {r.tick.stop.cause for r in records if r.tick.stop is not None} == {"late tick"}
+    assert np.allclose(records[-1].state.gate.twist, _TWIST)
+
+
 def test_the_pose_by_the_wheels_alone_is_the_one_of_an_estimate_from_the_recording(thing):
     def orders(now):
         return Orders(goal=VelocityGoal(Command(now, base=_TWIST), now), heartbeat=now)

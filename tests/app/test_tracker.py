@@ -77,7 +77,7 @@ def _tools(thing, run):
 
 
 def _within_limits(hardware):
-    """Whether speeds and their changes from one command to the next are what the robot capabilities, base and arm."""
+    """Whether speeds and their changes from one command to the next are what the robot can do, base and arm."""
     capabilities = hardware.capabilities
     arm = np.array([c.arm for c in hardware.written])
     stamps = np.array([c.stamp for c in hardware.written])
@@ -175,6 +175,27 @@ def test_stale_data_brakes_the_robot_and_the_plan_waits_for_a_short_time_alone(t
         assert run.ticks[-1].stamp > line.duration + 0.1
         assert np.linalg.norm(tool[-1] - goal[-1]) < 0.003
     _within_limits(hardware)
+
+
+@pytest.mark.parametrize(("halt", "ends"), [(0.1, False), (0.3, True), (5.0, True)])
+def test_a_loop_that_was_halted_itself_does_not_go_on_with_its_plan(thing, line, halt, ends):
+    """A process may be stopped for a while, and the robot meanwhile stops by itself; its clock goes on."""
+    body, halted = KinematicRobot(thing, seed=3), []
+
+    def wait_until(stamp):
+        body.advance(max(stamp - body.stamp, 0.0))
+        if stamp > 1.0 and not halted:
+            halted.append(stamp)
+            body.advance(halt)
+
+    run = tracker.run(body, wait_until, thing, line, np.zeros(3), _CONFIG)
+    stops = [tick.stop for tick in run.ticks if tick.stop is not None]
+    assert {stop.cause for stop in stops} == {"late tick"}
+    if ends:
+        assert "went by since the last tick" in run.reason
+        assert run.ticks[-1].stamp == pytest.approx(1.0 + halt, abs=0.02)
+    else:
+        assert run.reason == ""
 
 
 def test_a_client_that_vanishes_ends_the_run(thing, line):

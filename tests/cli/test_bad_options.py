@@ -16,7 +16,8 @@ _WRONG = {
         ("localization --floor 0", "friction above 0"),
         ("localization --duration nan", "duration is nan"),
         ("localization --duration inf", "duration is inf"),
-        ("localization --world office", "world is not a key here"),
+        ("localization --world office", "The world office has no ways to drive along"),
+        ("localization --world moon", "moon is neither a world"),
         ("dual-trajectory --length 0", "length is 0"),
         ("dual-trajectory --length inf", "length is inf"),
         ("dual-trajectory --world moon", "moon is neither a world"),
@@ -44,8 +45,14 @@ _WRONG = {
         ("nowhere.bag --robot thing --out out --fixes nowhere.tum", "nowhere.tum is not there"),
         ("nowhere.bag --robot thing --out out --config nowhere.yaml", "nowhere.yaml is not there"),
         ("nowhere.bag --robot thing --out a.txt/out", "cannot be written"),
+        ("nowhere.bag --robot thing --out out --topic /scan", "--topic /scan is not of the form NAME=VALUE"),
+        ("nowhere.bag --robot thing --out out --topic imu=/a --topic imu=/b", "--topic is given twice for imu"),
     ],
-    "evaluate": [("nowhere.tum --out a.txt/out", "cannot be written")],
+    "info": [("nowhere.bag --topic lidar=", "--topic lidar= is not of the form NAME=VALUE, as lidar=/scan")],
+    "evaluate": [
+        ("nowhere.tum --out a.txt/out", "cannot be written"),
+        ("nowhere.tum --out out --assume wxyz", "--assume wxyz is not of the form NAME=VALUE, as quaternion=wxyz"),
+    ],
     "serve": [
         ("--robot moon", "moon is neither a robot"),
         ("--hardware steam", "There is no hardware 'steam'"),
@@ -54,7 +61,9 @@ _WRONG = {
         ("--address 127.0.0.1:0", "a port is a number from 1 to 65535"),
         ("--address here", "write it as host:port"),
         ("--seed -1", "--seed"),
-        ("--duration -1", "--duration"),
+        ("--duration -1", "--duration is -1; give a number of seconds"),
+        ("--duration nan", "--duration is nan; give a number of seconds"),
+        ("--duration inf", "--duration is inf; give a number of seconds"),
         ("--record a.txt/run.mcap", "cannot be written"),
     ],
     "connect": [
@@ -65,7 +74,9 @@ _WRONG = {
         ("--tool-by 1", "--tool-by takes 3 numbers"),
         ("--move-to home", "--move-to takes numbers"),
         ("--plan nowhere.csv", "nowhere.csv"),
-        ("--duration -1", "--duration"),
+        ("--duration -1", "--duration is -1; give a number of seconds"),
+        ("--duration nan", "--duration is nan; give a number of seconds"),
+        ("--duration inf", "--duration is inf; give a number of seconds"),
     ],
     "view": [
         ("", "Give either a recording"),
@@ -75,8 +86,16 @@ _WRONG = {
         ("--connect 127.0.0.1:99999", "a port is a number from 1 to 65535"),
         ("--connect here", "write it as host:port"),
         ("a.txt --robot moon", "moon is neither a robot"),
-        ("run.bag --duration -1", "--duration"),
+        ("run.bag --duration -1", "--duration is -1; give a number of seconds"),
+        ("run.bag --duration nan", "--duration is nan; give a number of seconds"),
+        ("run.bag --duration inf", "--duration is inf; give a number of seconds"),
         ("run.bag --export a.txt/run.html", "cannot be written"),
+        ("run.bag --export folder", "folder is a folder; give a file for the scene, as folder/run.html."),
+        ("run.bag --token-file token", "--token-file and --certificates are for a robot's network"),
+        ("run.bag --certificates folder", "--token-file and --certificates are for a robot's network"),
+        ("--connect 127.0.0.1:7447 --export run.html", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --robot thing", "--export, --robot and --estimate are for a recording"),
+        ("--connect 127.0.0.1:7447 --estimate folder", "--export, --robot and --estimate are for a recording"),
     ],
 }  # fmt: skip
 
@@ -97,6 +116,7 @@ def nothing_begins(monkeypatch, tmp_path):
         monkeypatch.setattr(name, begin)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.txt").write_text("a file")
+    (tmp_path / "folder").mkdir()
 
 
 @pytest.mark.usefixtures("nothing_begins")

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import weakref
 from html import unescape
 
 import numpy as np
@@ -169,6 +170,35 @@ def test_the_first_seed_that_runs_is_shown_and_an_error_of_all_is_the_first_of_t
     assert first_run(run, range(4, 9)) == (6, {4: "Seed 4 is bad.", 5: "Seed 5 is bad."})
     with pytest.raises(EstimationError, match=r"Seed 4 is bad\."):
         first_run(run, range(4, 6))
+
+
+def test_seeds_that_fail_for_one_reason_are_given_up_after_three():
+    ran = []
+
+    def run(seed):
+        ran.append(seed)
+        raise EstimationError("The scans are empty.")
+
+    with pytest.raises(EstimationError, match="The scans are empty"):
+        first_run(run, range(20))
+    assert ran == [0, 1, 2]
+
+
+def test_what_a_failed_seed_computed_is_not_kept():
+    computed = []
+
+    class Drive:
+        pass
+
+    def run(seed):
+        kept = [ref() is not None for ref in computed]
+        drive = Drive()
+        computed.append(weakref.ref(drive))
+        if seed < 3:
+            raise EstimationError(f"Seed {seed} is bad.")
+        return kept
+
+    assert first_run(run, range(5))[0] == [True, False, False]  # an error of all would be the first
 
 
 def test_many_runs_give_means_and_spreads():

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from longreach.cli.tokens import WATCHER_TOKEN, read_token
+from longreach.cli.options import WATCHER_TOKEN, read_token
 from longreach.errors import ConfigError
 
 
@@ -61,13 +61,19 @@ def test_no_token_is_taken_on_the_command_line(run, verb):
         (["--floor", "icy"], "A floor is one of good, worn, wet, slippery, or a friction above 0, but not 'icy'."),
         (["--hardware", "kinematic", "--floor", "wet"], "A kinematic robot slips alike on every floor"),
         (["--hardware", "ros", "--world", "office"], "A robot of ROS has a world and a floor of its own"),
+        (["--hardware", "ros", "--seed", "0"], "Nothing of a robot of ROS is random here; leave out --seed."),
+        (["--no-scans"], "A robot with physics has its laser always; take --hardware kinematic, or leave out"),
         (["--address", "0.0.0.0:7447"], "can be reached from other machines: give --certificates"),
         (["--address", "nowhere"], "write it as host:port"),
         (["--certificates", "nowhere"], "The folder of certificates nowhere has no server.key."),
-        (["--record", "a.txt"], "end it with .mcap or .bag"),
+        (["--record", "a.bag"], "Nothing can be recorded into a.bag: end it with .mcap."),
+        (["--record", "a"], "Nothing can be recorded into a: end it with .mcap."),
+        (["--record", "there.mcap"], "The folder there.mcap is there already"),
     ],
 )
-def test_wrong_options_of_serve_are_refused_before_anything_that_takes_time(run, monkeypatch, words, sentence):
+def test_wrong_options_of_serve_are_refused_before_anything_that_takes_time(
+    run, monkeypatch, tmp_path, words, sentence
+):
     def never(*_):
         raise AssertionError("it has begun already")
 
@@ -75,6 +81,8 @@ def test_wrong_options_of_serve_are_refused_before_anything_that_takes_time(run,
     monkeypatch.setattr("longreach.live.server.serving.rehearse", never)
     for name in ("LONGREACH_TOKEN", WATCHER_TOKEN):
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.mcap").mkdir()
     answer = run("serve", *words)
     assert answer.code == 2
     assert sentence in answer.sentence

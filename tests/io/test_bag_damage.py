@@ -1,12 +1,19 @@
 """A bag that cannot be used is one sentence that says why."""
 
+import bz2
+import gzip
 import json
+import lzma
 import re
+import shutil
 import sqlite3
 from contextlib import suppress
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.rosbag2.storage_mcap import zstd
+from rosbags.typesys import Stores, get_typestore
 
 from longreach.errors import RecordingError
 from longreach.io import messages
@@ -19,10 +26,10 @@ from longreach.robot.description import RobotDescription, Topics
 ROBOT = RobotDescription(name="r")
 
 
-def write(path, count=3000, strange=False):
+def write(path, count=3000, strange=False, start=0):
     reading = Imu(0.0, np.ones(3), np.zeros(3))
     with new_bag(path) as bag:
-        for i in range(count):
+        for i in range(start, start + count):
             bag.write("/imu", messages.imu(bag.types, 0.01 * i, reading), 0.01 * i)
         if strange:
             bag.write("/strange", bag.types["std_msgs/msg/String"]("x"), 1.0)
@@ -45,7 +52,7 @@ def test_a_file_cut_short_is_refused(tmp_path, part):
     refused(path, "cannot be read as a ROS bag, it is damaged or cut short")
 
 
-@pytest.mark.parametrize("part", [0.0, 0.0001, 0.1, 0.5, 0.9])
+@pytest.mark.parametrize("part", [0.0001, 0.1, 0.5, 0.9])
 def test_a_database_cut_short_is_refused(tmp_path, part):
     file = write(tmp_path / "run") / "run.db3"
     whole = file.read_bytes()
@@ -81,11 +88,91 @@ def test_an_empty_file_is_refused(tmp_path, name):
     refused(tmp_path / name, "is empty; record or copy it again")
 
 
-def test_a_folder_whose_metadata_is_nonsense_is_refused(tmp_path):
+NAMES = "rosbag2_bagfile_information: {relative_file_paths: [%s], storage_identifier: ''}"
+
+
+@pytest.mark.parametrize("text", [None, "", "a: [", "rosbag2_bagfile_information: {version: 99}", json.dumps({"x": 1})])
+def test_a_folder_whose_metadata_is_missing_or_nonsense_is_read_by_its_files(tmp_path, text):
     path = write(tmp_path / "run", count=3)
-    for text in ("", "a: [", "rosbag2_bagfile_information: {version: 99}", json.dumps({"x": 1})):
-        (path / "metadata.yaml").write_text(text)
-        refused(path, "cannot be read as a ROS bag")
+    (path / "metadata.yaml").unlink() if text is None else (path / "metadata.yaml").write_text(text)
+    said = "run has no metadata.yaml that says which its files are; run.db3 were read."
+    recording = read_bag(path, ROBOT)
+    assert (len(recording.imu), recording.remarks) == (3, (said,))
+    assert inspect(path).remarks == (said,)
+
+
+def test_a_folder_without_any_bag_is_refused(tmp_path):
+    (tmp_path / "metadata.yaml").touch()
+    refused(tmp_path, r"cannot be read as a ROS bag: it holds neither a \.db3 nor an \.mcap")
+
+
+def test_a_folder_that_lacks_a_file_is_refused_by_its_name(tmp_path):
+    path = write(tmp_path / "run", count=3)
+    (path / "metadata.yaml").write_text(NAMES % "run.db3, run_1.db3")
+    refused(path, r"lacks run_1\.db3 of those that its metadata\.yaml names; copy it again, or name a file in it")
+
+
+def test_the_storage_of_a_folder_is_known_by_its_files_alone(tmp_path):
+    path = write(tmp_path / "run", count=3)
+    write(path / "run.mcap", count=5)
+    (path / "metadata.yaml").write_text(NAMES % "run.mcap")
+    assert len(read_bag(path, ROBOT).imu) == 5
+    assert read_bag(path, ROBOT).remarks == ()
+
+
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+def test_the_files_of_a_bag_are_read_alone_or_together(tmp_path, kind):
+    parts = []
+    for i in range(11):
+        (tmp_path / str(i)).mkdir()
+        made = write(tmp_path / str(i) / ("run" if kind == "db3" else "run.mcap"), count=2, start=2 * i)
+        (tmp_path / "run").mkdir(exist_ok=True)
+        parts.append(tmp_path / "run" / f"run_{i}.{kind}")
+        shutil.copy(made / "run.db3" if kind == "db3" else made, parts[-1])
+    alone = read_bag(parts[3], ROBOT)
+    assert [imu.stamp for imu in alone.imu] == pytest.approx([0.06, 0.07])
+    assert alone.remarks == (f"run_3.{kind} is one of 11 files of a bag; name its folder to read all of them.",)
+    assert [imu.stamp for imu in read_bag(tmp_path / "run", ROBOT).imu] == pytest.approx(0.01 * np.arange(22))
+    (tmp_path / "run" / "metadata.yaml").write_text(NAMES % f"/home/me/run/run_0.{kind}, run_1.{kind}")
+    assert len(read_bag(tmp_path / "run", ROBOT).imu) == 4
+
+
+def test_what_is_in_the_log_of_a_database_is_said_to_be_missing(tmp_path):
+    path = write(tmp_path / "run", count=3)
+    (path / "run.db3-wal").write_bytes(b"pages")
+    assert any(
+        "run.db3-wal holds messages that are not read" in said for said in read_bag(path / "run.db3", ROBOT).remarks
+    )
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".bz2", ".xz", ".zst", ".zstd"])
+@pytest.mark.parametrize("name", ["run.bag", "run.mcap", "run"])
+def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path, name, suffix):
+    path = write(tmp_path / name, count=30)
+    file = path / "run.db3" if path.is_dir() else path
+    squeeze = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}.get(suffix, zstd.compress)
+    packed = file.with_name(file.name + suffix)
+    packed.write_bytes(squeeze(file.read_bytes()))
+    file.unlink()
+    assert len(read_bag(packed, ROBOT).imu) == 30
+    assert inspect(packed).topics[0].count == 30
+    if path.is_dir():  # its metadata name the file without the suffix, or with it
+        assert len(read_bag(path, ROBOT).imu) == 30
+        (path / "metadata.yaml").write_text(NAMES % packed.name)
+        assert len(read_bag(path, ROBOT).imu) == 30
+    packed.write_bytes(packed.read_bytes()[:200])
+    refused(packed, "cannot be read as a ROS bag, it is damaged or cut short")
+
+
+def test_messages_that_are_compressed_each_are_read_without_metadata(tmp_path):
+    with Ros2Writer(tmp_path / "run", version=8) as writer:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        connection = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        message = messages.imu(store.types, 1.0, Imu(0.0, np.ones(3), np.zeros(3)))
+        raw = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+        writer.write(connection, 10**9, zstd.compress(raw))
+    assert read_bag(tmp_path / "run" / "run.db3", ROBOT).imu[0].stamp == 1.0
+    assert inspect(tmp_path / "run").topics[0].count == 1
 
 
 def test_a_bag_without_any_known_sensor_tells_what_it_has(tmp_path):

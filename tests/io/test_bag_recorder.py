@@ -70,6 +70,52 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(tmp_path):
         Recorder(tmp_path / "file" / "run.mcap")
 
 
+@pytest.mark.parametrize("what", ["header", "temporary file"])
+def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_no_file(tmp_path, monkeypatch, what):
+    class Full(FileIO):
+        def write(self, data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def full(dir):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if what == "header":
+        monkeypatch.setattr(mcap_file, "FileIO", Full)
+    else:
+        monkeypatch.setattr(mcap_file.tempfile, "TemporaryFile", full)
+    with pytest.raises(RecordingError, match=r"run\.mcap cannot be written: No space left on device\."):
+        Recorder(tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_takes_nothing_but_the_start_leaves_nothing_and_nothing_is_said_to_be_readable(
+    tmp_path, monkeypatch
+):
+    class Full(FileIO):
+        def write(self, data):
+            if self.tell() > 0:  # behind the file's header
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)
+
+    monkeypatch.setattr(mcap_file, "FileIO", Full)
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        write(recorder, 20)
+    assert recorder.error == f"{path} cannot be written any more: No space left on device. Nothing was recorded."
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_cannot_be_put_in_its_place_says_where_it_is(tmp_path):
+    path = tmp_path / "run.mcap"
+    with Recorder(path) as recorder:
+        path.mkdir()
+        write(recorder, 20)
+    (hidden,) = tmp_path.glob(".run.*.mcap")
+    assert recorder.error.startswith(f"{path} cannot be written any more: ")
+    assert recorder.error.endswith(f" What was recorded before can be read in {hidden}.")
+    assert inspect(hidden).topics[0].count == 20
+
+
 def test_on_a_full_disk_the_recording_ends_with_one_sentence_and_stays_readable(tmp_path, monkeypatch, caplog):
     class Full(FileIO):
         def write(self, data):
@@ -113,5 +159,7 @@ def test_who_gives_messages_does_not_wait_for_a_disk_that_hangs(tmp_path, monkey
         hangs.wait()
         write(recorder, 1000)  # comes back although nothing is written
         goes_on.set()
-    assert "messages that the disk was too slow for" in caplog.records[-1].getMessage()
-    assert 50 <= inspect(tmp_path / "run.mcap").topics[0].count <= 60
+    written = inspect(tmp_path / "run.mcap").topics[0].count
+    assert 50 <= written <= 60
+    lacks = f"{tmp_path / 'run.mcap'} lacks {1010 - written} messages that the disk was too slow for."
+    assert recorder.error == caplog.records[-1].getMessage() == lacks

@@ -27,6 +27,18 @@ def odom(stamp, pose):
     return "ODOM " + " ".join(f"{v:.6f}" for v in pose) + f" 0.1 0.2 0 {stamp:.6f} nohost 0.5"
 
 
+def robotlaser(
+    stamp, pose, ranges, laser=None, first=-1.0, increment=0.4, farthest=81.9, remissions=(), kind="ROBOTLASER1"
+):
+    """Write a ROBOTLASER line, or without poses a RAWLASER line."""
+    scan = f"{kind} 0 {first} {increment * len(ranges)} {increment} {farthest} 0.01 0 {len(ranges)} "
+    scan += " ".join(f"{v:.6f}" for v in ranges) + f" {len(remissions)} " + "".join(f"{v} " for v in remissions)
+    if kind.startswith("ROBOT"):
+        poses = (*(laser if laser is not None else pose), *pose)
+        scan += " ".join(f"{v:.6f}" for v in poses) + " 0.3 0.1 0.5 0.4 1e6 "
+    return scan + f"{stamp:.6f} nohost {stamp - 976052857:.6f}"
+
+
 def log(beams=6, offset=0.0):
     lines = ["# CARMEN Logfile", f"PARAM robot_frontlaser_offset {offset} nohost 0", "PARAM other on nohost 0", ""]
     for i, (stamp, pose) in enumerate(zip(STAMPS, POSES, strict=True)):
@@ -149,6 +161,82 @@ def test_a_second_scanner_is_said(written):
     assert "1 RLASER lines (a second scanner) were not used." in read_carmen(written(text), ROBOT).remarks
 
 
+@pytest.mark.parametrize("remissions", [(), (7, 8, 9)])
+@pytest.mark.parametrize("kind", ["ROBOTLASER1", "ROBOTLASER2"])
+def test_a_robotlaser_line_says_its_angles_its_range_and_where_laser_and_robot_are(written, kind, remissions):
+    lines = []
+    for i, stamp in enumerate(STAMPS):
+        c, s = np.cos(0.5 * i), np.sin(0.5 * i)
+        laser = [i + 0.2 * c, 0.2 * s, 0.5 * i + 0.1]
+        ranges = [1.0 + i, 2.0, 20.0, 3.0]
+        lines.append(robotlaser(stamp, [i, 0.0, 0.5 * i], ranges, laser, -1.5, 0.25, 20.0, remissions, kind))
+    found = read_carmen(written("\n".join(lines)), ROBOT)
+    assert len(found.scans) == 5
+    for i, scan in enumerate(found.scans):
+        np.testing.assert_allclose(scan.angles, [-1.5, -1.25, -1.0, -0.75])
+        np.testing.assert_array_equal(scan.returns > 0, [True, True, False, True])
+        assert scan.ranges[0] == 1.0 + i
+    np.testing.assert_allclose([w.pose for w in found.wheels], [[i, 0.0, 0.5 * i] for i in range(5)])
+    np.testing.assert_array_equal(found.as_recorded(np.array([scan.stamp for scan in found.scans])), STAMPS)
+    mount = found.mounts["laser"]
+    np.testing.assert_allclose(mount[:2, 3], [0.2, 0.0], atol=1e-5)
+    assert np.arctan2(mount[1, 0], mount[0, 0]) == pytest.approx(0.1, abs=1e-5)
+    assert inspect(written("\n".join(lines))).topics[0].topic == kind
+
+
+def test_what_the_description_says_of_the_laser_comes_before_a_robotlaser_line(written):
+    robot = ROBOT.model_copy(update={"lidar": Lidar(angle_min=-0.5, angle_increment=0.1, range_max=2.5)})
+    scan = read_carmen(written(robotlaser(STAMPS[0], [0, 0, 0], [1.0, 2.0, 3.0])), robot).scans[0]
+    np.testing.assert_allclose(scan.angles, [-0.5, -0.4, -0.3])
+    np.testing.assert_array_equal(scan.returns > 0, [True, True, False])
+
+
+def test_an_increment_of_zero_is_taken_from_the_field_of_view(written):
+    line = robotlaser(STAMPS[0], [0, 0, 0], [1.0, 2.0, 3.0, 4.0], increment=0.5).replace(" 2.0 0.5 ", " 2.0 0 ")
+    assert read_carmen(written(line), ROBOT).scans[0].angle_increment == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("kind", "side", "place"), [("RAWLASER1", "front", 0.0), ("RAWLASER2", "rear", np.pi)])
+def test_rawlaser_lines_take_the_wheels_of_odom_lines_and_the_lasers_place_of_the_parameters(
+    written, kind, side, place
+):
+    lines = [f"PARAM robot_{side}laser_offset 0.3 nohost 0", f"PARAM robot_{side}laser_side_offset -0.1 nohost 0"]
+    for i, stamp in enumerate(STAMPS):
+        lines.append(robotlaser(stamp, None, [1.0 + i, 2.0, 3.0], kind=kind))
+        lines += [odom(stamp + 0.01, POSES[i]), odom(stamp + 0.02, POSES[i])]
+    found = read_carmen(written("\n".join(lines)), ROBOT)
+    assert (len(found.scans), len(found.wheels)) == (5, 10)
+    np.testing.assert_allclose(found.scans[0].angles, [-1.0, -0.6, -0.2])
+    np.testing.assert_array_equal(found.as_recorded(np.array([scan.stamp for scan in found.scans])), STAMPS)
+    np.testing.assert_allclose([w.pose for w in found.wheels[::2]], POSES)
+    np.testing.assert_allclose(found.mounts["laser"][:2, 3], [0.3, -0.1])
+    assert np.arctan2(*found.mounts["laser"][1::-1, 0]) == pytest.approx(place)
+
+
+def test_rawlaser_lines_alone_are_scans_without_wheels(written):
+    found = read_carmen(written("\n".join(robotlaser(s, None, [1.0, 2.0], kind="RAWLASER1") for s in STAMPS)), ROBOT)
+    assert (len(found.scans), len(found.wheels)) == (5, 0)
+
+
+def test_scans_that_stand_in_the_log_by_old_and_new_lines_are_read_once(written):
+    lines = log().splitlines()
+    for i, stamp in enumerate(STAMPS):
+        ranges = [1.0 + 0.1 * i + 0.01 * k for k in range(6)]
+        lines.append(robotlaser(stamp, None, ranges, kind="RAWLASER1"))
+        lines.append(robotlaser(stamp, POSES[i], ranges))
+        lines.append(robotlaser(stamp, POSES[i], [9.0] * 6, kind="ROBOTLASER2"))
+    lines.append(robotlaser(976052858.0, [0.5, 0.05, 0.1], [5.0] * 6))
+    found = read_carmen(written("\n".join(lines)), ROBOT)
+    np.testing.assert_allclose([scan.ranges[0] for scan in found.scans], [1.0, 1.1, 1.2, 1.3, 1.4, 5.0])
+    assert found.scans[0].angle_min == -np.pi / 2
+    assert found.scans[-1].angle_min == -1.0
+    assert found.remarks[:3] == (
+        "5 RAWLASER1 lines, which have no poses, were not used.",
+        "5 ROBOTLASER2 lines (a second scanner) were not used.",
+        "5 scans stand in the log by two kinds of lines; they were read once.",
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -160,7 +248,12 @@ def test_a_second_scanner_is_said(written):
         ("ODOM 1 2 3\n", "line 1: an ODOM line has x y θ tv rv accel and a time; it is cut"),
         ("ODOM 1 2 x 0 0 0 5.0 host 5.0\n", "line 1: 'x' is not a number"),
         (flaser(1.0, [0, 0, 0], [1.0] * 6).replace("1.000000 nohost", "one nohost"), "line 1: 'one' is not a number"),
-        ("hello world\n", "holds neither FLASER nor ODOM lines, so it is no CARMEN log; it has hello"),
+        (
+            robotlaser(976052857.0, [0, 0, 0], [1.0] * 6)[:-20],
+            "line 1: a ROBOTLASER1 line of 6 ranges is cut short or has no",
+        ),
+        ("ROBOTLASER1 0 1 2 3\n", "line 1: a ROBOTLASER1 line of -1 ranges is cut short"),
+        ("hello world\n", "holds no FLASER, ROBOTLASER, RAWLASER or ODOM lines, so it is no CARMEN log; it has hello"),
         ("", "it has no lines at all"),
         ("\x89MCAP\x00\n\x01\ufffd\n", "it has nothing that is text"),
         ("ODOM nan 2 3 0 0 0 5.0 host 5.0\n", "holds no line with finite numbers"),

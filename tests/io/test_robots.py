@@ -59,7 +59,7 @@ def test_files_that_are_not_there_or_wrong_are_refused(tmp_path):
     with pytest.raises(ModelError, match=r"nothing\.urdf cannot be read"):
         load_robot(tmp_path / "nothing.urdf")
     (tmp_path / "post.urdf").write_text(LINK.format(JOINT.format("screw")))
-    with pytest.raises(ModelError, match=r"post\.urdf: Joint j is of the type 'screw'"):
+    with pytest.raises(ModelError, match=r"post\.urdf: Joint j: It is of the type 'screw'"):
         load_robot(tmp_path / "post.urdf")
     (tmp_path / "r.yaml").write_text(yaml.safe_dump({"name": "r", "arm": {"urdf": "gone.urdf"}}))
     with pytest.raises(ModelError, match=r"gone\.urdf cannot be read"):

@@ -17,6 +17,7 @@ from longreach.io import messages
 from longreach.live.protocol import commands, topics
 from longreach.live.protocol.message_header import pack_header
 from longreach.live.protocol.topics import TYPES
+from longreach.live.server import listener
 from longreach.live.server.authentication import Authentication, RejectionCounts
 from longreach.live.server.listener import Listener
 from longreach.live.server.server import HEARTBEAT_TIMEOUT
@@ -46,9 +47,9 @@ class _Session:
     def declare_queryable(self, key, answer):
         self.asked[key] = answer
 
-    def send(self, topic, message):
+    def send(self, topic, message, sender=_SENDER):
         self.number += 1
-        return SimpleNamespace(payload=topic.pack(message), attachment=pack_header(self.number, _SENDER))
+        return SimpleNamespace(payload=topic.pack(message), attachment=pack_header(self.number, sender))
 
     def deliver(self, topic, sample):
         if topic.key in self.heard:
@@ -241,3 +242,93 @@ def test_after_a_stop_and_its_reset_only_a_new_command_moves_the_robot(thing, ki
     elif stop != "short":
         assert moving == 0.0
         assert fingers < 1e-3
+
+
+@pytest.mark.parametrize("order", ["hold", "reset", "release"])
+@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.usefixtures("unchecked")
+def test_a_command_that_was_sent_before_an_order_moves_nothing_though_it_is_read_after_it(thing, kind, order):
+    """Each topic is read in a thread of its own."""
+
+    def script(robot, now):
+        if asked:
+            robot.beat()
+        if now < 0.3 or asked:
+            return
+        asked.append(now)
+        robot.order("take me")
+        robot.delayed = []
+        robot.ask_for(kind, now)
+        (late,) = robot.delayed
+        robot.delayed = None
+        robot.order(order)
+        if order == "release":
+            robot.order("take me again")
+        robot.session.deliver(*late)
+
+    asked = []
+    robot = _Robot(thing, script)
+    robot.run(0.8)
+    assert robot.moved(0.0)[0] == 0.0
+    assert robot.moved(0.0)[1] < 1e-3
+    refused = robot.listener._authentication.rejections.counts
+    assert refused == {"sent before its client has asked for something else": 1}
+
+
+@pytest.mark.parametrize("meanwhile", ["hold", "reset", "release", "another takes it"])
+@pytest.mark.usefixtures("unchecked")
+def test_a_plan_is_not_begun_where_the_robot_was_asked_for_something_else_while_it_was_looked_at(
+    thing, monkeypatch, meanwhile
+):
+    def script(robot, now):
+        if asked:
+            robot.beat()
+        elif now >= 0.3:
+            asked.append(now)
+            robot.order("take me")
+            robot.ask_for("plan", now)
+
+    def check_slowly(*_):
+        if meanwhile == "another takes it":
+            robot.order("release")
+            robot.session.deliver(
+                topics.ORDER, robot.session.send(topics.ORDER, TYPES["std_msgs/msg/String"]("take other"), bytes(16))
+            )
+        else:
+            robot.order(meanwhile)
+
+    asked = []
+    monkeypatch.setattr(listener, "check_plan", check_slowly)
+    robot = _Robot(thing, script)
+    robot.run(0.9)
+    assert robot.moved(0.0)[0] == 0.0
+    assert robot.listener.plan is None
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_reset_that_was_on_its_way_while_somebody_pressed_stop_anew_is_refused(thing):
+    stops = []
+
+    def script(robot, now):
+        if len(robot.records) % 30 or now > 1.8:
+            return
+        step = len(robot.records) // 30
+        if step == 0:
+            robot.order("take me")
+        elif step in (1, 2):  # a stop, and another one
+            robot.order(f"stop That is number {step}.")
+        elif step == 3:
+            stops.extend(r.tick.stop.since for r in (robot.records[-31], robot.records[-1]))
+            robot.order(f"reset {stops[0]:.6f}")
+        elif step == 4:
+            assert robot.records[-1].tick.stop.reason == "That is number 2."
+            robot.order(f"reset {stops[1]:.6f}")
+        elif step == 5:
+            assert robot.records[-1].tick.stop is None
+
+    robot = _Robot(thing, script)
+    robot.run(1.4)
+    assert stops[0] < stops[1]
+    assert len(robot.records) > 150
+    (reason,) = robot.listener._authentication.rejections.counts
+    assert reason == "The robot was stopped anew: That is number 2. Look why, then reset it."

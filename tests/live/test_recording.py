@@ -163,7 +163,7 @@ def test_what_cannot_be_read_is_not_recorded(served, to, tmp_path, caplog):
         assert sum(1 for _ in bag.messages([(topic.name, topic.type) for topic in bag.topics])) > 300
 
 
-def test_a_server_whose_disk_is_full_says_so_once_and_goes_on(serve, to, tmp_path):
+def test_a_server_whose_disk_is_full_says_so_and_goes_on_and_ends_with_it(serve, to, tmp_path):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); "
     folder, record = tmp_path / "served", tmp_path / "run.mcap"
     folder.mkdir()
@@ -171,12 +171,16 @@ def test_a_server_whose_disk_is_full_says_so_once_and_goes_on(serve, to, tmp_pat
     try:
         client = to(served)
         until(lambda: "cannot be written any more" in served.output, 30.0)
-        before = client.state.stamp
-        until(lambda: client.state.stamp > before + 2.0, 20.0)
+        full = client.state.stamp
+        until(lambda: client.state.stamp > full + 2.0, 20.0)
     finally:
         served.end()
-    assert served.process.returncode == 0
-    assert served.output.count("cannot be written any more: File too large. What was recorded before") == 1
+    sentence = f"{record} cannot be written any more: File too large. What was recorded before can be read."
+    assert served.process.returncode == 2
+    *before, last = served.output.splitlines()
+    assert sum(sentence in line for line in before) == 1  # in the log, when it happened
+    assert last == f"longreach: {sentence}"
+    assert "The recording is" not in served.output
     info = inspect(record)
     assert info.duration > 0.2
     assert "its file has no end" in info.remarks[0]

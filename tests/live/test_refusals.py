@@ -256,3 +256,16 @@ def test_a_stop_gets_through_whatever_its_reason_holds(client):
     client.reset()
     assert client.state.stop == ""
     client.release()
+
+
+def test_a_stop_that_the_robot_takes_but_does_not_do_is_an_error(client, monkeypatch):
+    """The network's side of a robot answers also when its loop hangs."""
+    with monkeypatch.context() as hanging:
+        hanging.setattr(client._connection, "order", lambda words: "")
+        with pytest.raises(LiveError, match="has not said within 1 s that it is stopped; use its own red button"):
+            client.stop()
+    client.stop("This one is done.")
+    client.stop("And so is another.")
+    assert client.state.stop == "And so is another."
+    client.reset()
+    assert not client.state.latched

@@ -89,6 +89,17 @@ def test_a_message_counts_once_and_from_its_server_alone():
     guard.admit(topic, signed(3))
 
 
+def test_a_watcher_who_uses_the_holders_name_and_numbers_takes_no_order_from_it():
+    guard = Authentication({OPERATOR: _TOKEN, WATCHER: _WATCHERS}, b"n" * 16, RejectionCounts())
+    payload, topic = topics.ORDER.pack(TYPES["std_msgs/msg/String"]("stop")), topics.ORDER
+    senders = []
+    for number, token in ((1, _TOKEN), (2**62, _WATCHERS), (2, _TOKEN)):
+        header = pack_header(number, b"s" * 16)
+        mac = authentication(token, b"n" * 16, topic.key, header, payload)
+        senders.append(guard.admit(topic, Sample(payload, header + mac))[0].sender)
+    assert senders[0] == senders[2] == b"s" * 16 != senders[1]
+
+
 def test_10_000_fuzzed_payloads_and_some_that_are_too_large_are_refused_and_counted(served, to, rng):
     client = to(served)
     before, q = client.state.refused, client.state.q
@@ -196,3 +207,13 @@ def test_a_flood_of_refusals_is_told_in_one_line_a_second(caplog):
     assert rejections.total == 1000
     assert len(caplog.records) == 2
     assert "1000" in caplog.records[-1].getMessage()
+
+
+def test_reasons_that_are_all_different_do_not_fill_memory_and_log(caplog):
+    """Who holds the robot has a name in such a reason, and where a plan begins is a number."""
+    rejections = RejectionCounts()
+    for i in range(10_000):
+        rejections.count(f"The plan begins {i} m away from where the robot is; plan from there.", "/longreach/execute")
+    assert rejections.total == 10_000
+    assert len(rejections.counts) < 200
+    assert len(caplog.records) < 200

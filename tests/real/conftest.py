@@ -36,6 +36,12 @@ def estimated(data):
     return of
 
 
+@pytest.fixture(scope="session")
+def estimate_of():
+    """Read and estimate a recording, as `open_run` takes it."""
+    return lambda *arguments, **options: unchecked(read_and_estimate, *arguments, **options)
+
+
 @pytest.fixture
 def held_by_fixes(data):
     """Estimate the Intel log once more, with its corrected poses as positions of 5 cm, one every 5 s at most."""

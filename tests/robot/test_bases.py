@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from longreach.robot.bases import DifferentialBase, MecanumBase
+from longreach.robot.bases import DifferentialBase, MecanumBase, OmniBase
 
 ROLES = ("front_left", "rear_left", "rear_right", "front_right")
 RADIUS, LENGTH, WIDTH = 0.0759, 0.319, 0.2755
@@ -87,10 +87,61 @@ def test_names_that_do_not_say_which_wheel_is_where_are_refused(names):
         mecanum(names)
 
 
-@pytest.mark.parametrize("names", [("left", "left"), ("left", "other"), ("left",), ("left", "right", "right_2")])
+@pytest.mark.parametrize("names", [("left", "left"), ("left", "other"), ("left",), ("a", "b", "c", "d")])
 def test_a_differential_base_needs_a_left_and_a_right_wheel(names):
-    with pytest.raises(ValidationError, match="must be a left and a right wheel"):
+    with pytest.raises(ValidationError, match=r"must be a left and a right wheel, or several of each, .*give sides"):
         differential(names)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("front_left_wheel_joint", "back_left_wheel_joint", "back_right_wheel_joint", "front_right_wheel_joint"),
+        ("fl_wheel_joint", "rl_wheel_joint", "rr_wheel_joint", "fr_wheel_joint"),
+        ("FLWheel", "BLWheel", "BRWheel", "FRWheel"),
+        ("wheel_lf", "wheel_lb", "wheel_rb", "wheel_rf"),
+        ("wheel_f_l", "wheel_r_l", "wheel_r_r", "wheel_f_r"),
+        ("left_f", "left_r", "right_r", "right_f"),
+        ("lf", "lr", "rr", "rf"),
+    ],
+)
+def test_usual_names_of_wheels_say_their_corners(names):
+    assert mecanum(names).wheel_corners == ROLES
+    assert differential(names).wheel_sides == ("left", "left", "right", "right")
+
+
+def test_corners_and_sides_are_said_apart_from_names(rng):
+    wheels = dict(zip(ROLES, ("one", "two", "three", "four"), strict=True))
+    kind = {"wheel_radius": RADIUS, "half_length": LENGTH, "half_width": WIDTH}
+    by_place = MecanumBase(**kind, wheel_names={"front_right": "four", **wheels})
+    beside = MecanumBase(**kind, wheel_names=["four", "one", "two", "three"], corners=("fr", "fl", "back_left", "rr"))
+    assert by_place == beside == MecanumBase(**by_place.model_dump(mode="json"))
+    np.testing.assert_allclose(by_place.forward_matrix, mecanum().forward_matrix[:, [3, 0, 1, 2]])
+    tracks = DifferentialBase(wheel_radius=0.1, track_width=0.5, wheel_names={"left": ["a", "b"], "right": ["c", "d"]})
+    assert tracks.sides == ("left", "left", "right", "right")
+
+
+def test_the_wheels_of_a_side_are_averaged():
+    base = DifferentialBase(wheel_radius=0.1, track_width=0.5, wheel_names=("l1_left", "l2_left", "right"))
+    np.testing.assert_allclose(base.forward_matrix @ [1.0, 3.0, 4.0], differential().forward_matrix @ [2.0, 4.0])
+    np.testing.assert_allclose(base.forward_matrix, np.linalg.pinv(base.inverse_matrix), atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_an_omni_base_rolls_along_its_circle(count, rng):
+    angles = np.pi / 4 + 2 * np.pi * np.arange(count) / count
+    names = tuple("abcd"[:count])
+    base = OmniBase(wheel_radius=0.05, centre_distance=0.2, wheel_angles=tuple(angles.tolist()), wheel_names=names)
+    v_x, v_y, omega = twist = rng.normal(size=3)
+    places = 0.2 * np.array([np.cos(angles), np.sin(angles)])
+    velocities = np.array([v_x - omega * places[1], v_y + omega * places[0]])
+    along = np.array([-np.sin(angles), np.cos(angles)])
+    np.testing.assert_allclose(base.inverse_matrix @ twist, (velocities * along).sum(axis=0) / 0.05, atol=1e-12)
+    np.testing.assert_allclose(base.forward_matrix @ base.inverse_matrix, np.eye(3), atol=1e-14)
+    assert base.residual_matrix.shape == (count - 3, count)
+    np.testing.assert_allclose(base.residual_matrix @ base.inverse_matrix, 0.0, atol=1e-14)
+    with pytest.raises(ValidationError, match="could not move all ways"):
+        OmniBase(wheel_radius=0.05, centre_distance=0.2, wheel_angles=(0.0,) * count, wheel_names=names)
 
 
 def test_a_base_cannot_be_changed():

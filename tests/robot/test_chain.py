@@ -131,7 +131,7 @@ def test_a_chain_is_not_made_of_joints_it_cannot_move():
     for kind in ("planar", "floating"):
         with pytest.raises(ModelError, match=f"is {kind}"):
             KinematicChain.from_joints([Joint("j", kind, "a", "b")], "a", "b")
-    with pytest.raises(ModelError, match="follows other"):
+    with pytest.raises(ModelError, match="mimics other"):
         KinematicChain.from_joints([Joint("j", "revolute", "a", "b", mimic="other")], "a", "b")
     with pytest.raises(ModelError, match="at least one row"):
         KinematicChain.from_dh([])

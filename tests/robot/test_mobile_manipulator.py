@@ -11,8 +11,9 @@ from longreach.geometry import se3, so3
 from longreach.io.config import description_file
 from longreach.io.robots import load_robot
 from longreach.robot.chain import KinematicChain
-from longreach.robot.description import RobotDescription
+from longreach.robot.description import Arm, RobotDescription
 from longreach.robot.dh import rows_of
+from longreach.robot.footprint import footprint_of
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 QUARTER = np.pi / 2
@@ -184,3 +185,19 @@ def test_a_sensor_that_the_urdf_places_elsewhere_is_refused():
     description = RobotDescription.model_validate({**THING.description.model_dump(mode="json"), **moved})
     with pytest.raises(ModelError, match="place front_laser differently"):
         MobileManipulator.from_description(description, description_file("thing").parent)
+
+
+@pytest.mark.parametrize("taken", ["world", "map", "odom", "base_x_link", "base_y_link"])
+def test_a_link_with_the_name_of_a_frame_of_ours_is_renamed_and_nothing_loops(tmp_path, taken):
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{a}"/><child link="{b}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1"/></joint>'
+        for name, a, b in (("base_x", taken, "middle"), ("base_theta", "middle", "hand"))
+    )
+    links = "".join(f'<link name="{name}"/>' for name in (taken, "middle", "hand"))
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{links}{joints}</robot>')
+    robot = MobileManipulator.from_description(RobotDescription(name="r", arm=Arm(urdf="arm.urdf")), tmp_path)
+    assert robot.joint_names == ("robot_base_x", "base_y", "robot_base_theta", "base_x", "base_theta")
+    assert robot.urdf.root == f"robot_{taken}"
+    assert len(set(robot.frames)) == 6
+    assert footprint_of(robot).rectangle.tolist() == [-0.3, 0.3, -0.25, 0.25]

@@ -60,29 +60,41 @@ def edited(old, new):
     return LIFT.replace(old, new)
 
 
+def two_trees():
+    more = '<link name="islet"/><link name="buoy"/><joint name="rope" type="fixed"><parent link="islet"/>'
+    return edited("</robot>", f'{more}<child link="buoy"/></joint></robot>')
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("<robot", "not XML"),
         ("<sdf/>", "outermost element is <robot>, this one's is <sdf>"),
-        ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>', "xacro, not URDF; expand it first"),
-        ("<robot/>", "no link at all"),
-        (edited('type="continuous"', 'type="helical"'), "Joint turn is of the type 'helical'; there are fixed, revol"),
+        (
+            '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>',
+            r"This is xacro, not URDF \(<xacro:arm>\); expand it first",
+        ),
+        ("<robot/>", "There is no <link> in it"),
+        ('<robot><robot name="inner"/></robot>', "A <robot> stands inside of another one"),
+        (
+            edited('xyz="0 0 0.3"', 'xyz="0 0 ${height}"'),
+            r"This is xacro, not URDF \(0 0 \$\{height\}\); expand it first",
+        ),
+        (edited("</robot>", "<xacro:arm/></robot>"), "This is xacro, not URDF \\(<xacro:arm>\\); expand it first"),
         (edited('<child link="hand"/>', '<child link="plate"/>'), "plate hangs on two joints, lift and grip: a loop"),
-        (edited('<child link="hand"/>', '<child link="foot"/>'), "The links hand hang|Joint lift is in a loop"),
+        (edited('<child link="hand"/>', '<child link="foot"/>'), "Joint lift is in a loop"),
         (edited('<parent link="plate"/>', '<parent link="hand"/>'), "Joint turn is in a loop"),
         (edited('<parent link="plate"/>', '<parent link="nowhere"/>'), "names the link nowhere, which is not there"),
         (edited('<parent link="plate"/>', ""), "Joint turn must name a parent and a child"),
-        (edited('lower="0" upper="0.5"', 'lower="0.5" upper="0"'), "Joint lift: .*lower limit 0.5 is not below"),
-        (edited('xyz="0 0 2"', 'xyz="0 0 0"'), "Joint lift: The axis has no direction"),
-        (edited('xyz="0 0 0.3"', 'xyz="0 0 nan"'), "xyz of <origin> is '0 0 nan'; expected 3 finite numbers"),
-        (edited('xyz="0 0 0.3"', 'xyz="0 0"'), "expected 3 finite numbers"),
-        (edited('<link name="hand"/>', '<link name="hand"/><link name="island"/>'), "foot, island hang on no joint"),
+        (two_trees(), "foot, islet hang on no joint, so there are 2 trees; say which link ends the chain"),
         (edited('<link name="hand"/>', '<link name="hand"/><link name="head"/>'), "two links named head"),
         (edited('name="grip"', 'name="turn"'), "two joints named turn"),
         (edited('<link name="hand"/>', "<link/>"), "A <link> has no name"),
-        (edited('<box size="1 2 3"/>', '<cone size="1 2 3"/>'), "a <cone>; there are box, cylinder, sphere, mesh"),
-        (edited('<geometry><box size="1 2 3"/></geometry>', ""), "Link foot: A <visual> has no geometry"),
+        (edited('<cylinder radius="0.5" ', '<cone radius="0.5" '), "a <cone>; there are box, cylinder, sphere, mesh"),
+        (
+            edited('<geometry><cylinder radius="0.5" length="2"/></geometry>', ""),
+            "Link foot: A <collision> has no geom",
+        ),
         (edited('radius="0.5" ', ""), "radius of <cylinder> is missing"),
         (edited('<mass value="12"/>', ""), "no mass"),
     ],
@@ -113,3 +125,71 @@ def test_a_robot_that_branches_must_be_told_its_end(tmp_path):
     (tmp_path / "a.urdf").write_text(edited('<parent link="head"/>', '<parent link="plate"/>'))
     with pytest.raises(ModelError, match="say which of head, hand, or another link, ends the chain"):
         KinematicChain.from_urdf(tmp_path / "a.urdf")
+
+
+FAULTS = [
+    (edited('type="continuous"', 'type="helical"'), "Joint turn: It is of the type 'helical'; there are fixed, revol"),
+    (edited('type="continuous"', 'type="floating"'), "Joint turn is floating; a chain's joints are revolute"),
+    (
+        edited('type="continuous"', 'type="planar"'),
+        "Joint turn is planar; .*Make it fixed: a mobile base moves by x, y",
+    ),
+    (edited('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="lift"/>'), "Joint turn mimics lift"),
+    (edited('lower="0" upper="0.5"', 'lower="0.5" upper="0"'), "Joint lift: .*lower limit 0.5 is not below"),
+    (edited('lower="0" upper="0.5"', ""), "Joint lift: Its lower and upper limit are both 0 .*cannot move"),
+    (edited('velocity="0.1"', 'velocity="-1"'), "Joint lift: Its velocity limit is -1; give one above 0"),
+    (edited('effort="100"', 'effort="much"'), "Joint lift: The effort of <limit> is 'much'; expected 1 finite number"),
+    (edited('xyz="0 0 2"', 'xyz="0 0 0"'), "Joint lift: The axis has no direction"),
+    (edited('xyz="0 0 0.3"', 'xyz="0 0 nan"'), "xyz of <origin> is '0 0 nan'; expected 3 finite numbers"),
+    (edited('xyz="0 0 0.3"', 'xyz="0 0"'), "expected 3 finite numbers"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), FAULTS)
+def test_what_is_wrong_with_a_joint_matters_only_in_a_chain_that_it_is_part_of(text, message):
+    urdf = parse_urdf(text)
+    with pytest.raises(ModelError, match=message):
+        KinematicChain.from_joints(urdf.joints, "foot", "hand")
+    assert KinematicChain.from_joints(urdf.joints, "foot", "foot").dof == 0
+    assert "hand" not in KinematicChain.from_joints(urdf.joints, "foot", "foot").frames
+
+
+def test_values_that_have_no_meaning_are_ignored():
+    fixed = '<joint name="grip" type="fixed"><axis xyz="0 0 0"/><limit lower="x" upper="-1" velocity="-1"/>'
+    endless = '<axis xyz="0 1 0"/><limit lower="3" upper="-3"/><mimic joint="turn"/>'.replace(
+        '<mimic joint="turn"/>', ""
+    )
+    text = edited('<joint name="grip" type="fixed">', fixed).replace('<axis xyz="0 1 0"/>', endless)
+    chain = KinematicChain.from_joints(parse_urdf(text).joints, "foot", "hand")
+    assert chain.joint_names == ("lift", "turn")
+    np.testing.assert_array_equal(chain.limits.upper, [0.5, np.inf])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "\ufeff \n" + LIFT,
+        b"\xef\xbb\xbf" + LIFT.encode(),
+        LIFT.encode("utf-16"),
+        LIFT.replace("\n", "\r\n").encode(),
+        edited("<material", "<!-- f\xfcr --><material").encode("latin-1"),
+        b'<?xml version="1.0" encoding="ISO-8859-1"?>'
+        + edited("<material", "<!-- \xfc --><material").encode("latin-1"),
+        edited(
+            '<robot name="lift">', '<robot name="lift" xmlns="http://ros.org" xmlns:xacro="http://ros.org/wiki/xacro">'
+        ),
+        edited("</robot>", "<gazebo><plugin><joint/></plugin></gazebo><sensor:camera/><transmission/></robot>"),
+        edited("</robot>", '<ros2_control type="system"><joint name="lift"><param/></joint></ros2_control></robot>'),
+        edited("</robot>", '<link name="world"/></robot>'),
+        edited('<box size="1 2 3"/>', '<cone size="1 2 3"/>').replace('rgba="1 0 0 1"', 'rgba="1 0 0"'),
+    ],
+)
+def test_encodings_and_elements_of_other_tools_change_nothing(content):
+    lift = parse_urdf(content)
+    assert (lift.root, [joint.name for joint in lift.joints]) == ("foot", ["lift", "turn", "grip"])
+
+
+def test_of_several_trees_the_one_with_the_chains_end_is_taken():
+    assert parse_urdf(two_trees(), "hand").root == "foot"
+    other = parse_urdf(two_trees(), "buoy")
+    assert (other.root, list(other.links)) == ("islet", ["islet", "buoy"])

@@ -1,5 +1,6 @@
 """What a launch script can wait for: each program of ROS says what it waits for, and when it is ready."""
 
+import re
 import sys
 
 from ros_nodes import free_port, process, until
@@ -29,6 +30,7 @@ def test_a_server_of_a_ros_robot_says_what_it_waits_for_and_when_it_is_ready(ros
             said("serve", "A robot listens on /arm_velocity_controller/command and /cmd_vel.")
 
 
-def test_the_estimate_says_when_it_is_ready(ros, tmp_path):
+def test_the_estimate_says_when_it_is_ready_on_standard_error_after_the_time(ros, tmp_path):
     with (tmp_path / "log").open("w") as log, process((*_LONGREACH, "ros", "estimate"), ros, log):
-        until(lambda: "The estimate of thing is ready." in (tmp_path / "log").read_text(), 90.0, "that it is ready")
+        ready = re.compile(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} The estimate of thing is ready\.$", re.MULTILINE)
+        until(lambda: ready.search((tmp_path / "log").read_text()), 90.0, "that it is ready")

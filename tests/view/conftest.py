@@ -1,5 +1,6 @@
 """A short drive along a wall, a client that plays a robot, and a browser."""
 
+import signal
 import threading
 import time
 from pathlib import Path
@@ -144,11 +145,21 @@ def pretender(thing):
 
 
 @pytest.fixture(scope="package")
-def served(tmp_path_factory):
-    """A kinematic robot that another process serves."""
-    one = Served(tmp_path_factory.mktemp("served")).ready()
-    yield one
-    one.end()
+def all_served():
+    """The robots that tests have served; all end with the package."""
+    robots = []
+    yield robots
+    for one in robots:
+        one.process.send_signal(signal.SIGCONT)
+        one.end()
+
+
+@pytest.fixture
+def served(all_served, tmp_path_factory):
+    """A kinematic robot that another process serves: one for all tests, until one of them kills it."""
+    if not all_served or all_served[-1].process.poll() is not None:
+        all_served.append(Served(tmp_path_factory.mktemp("served")).ready())
+    return all_served[-1]
 
 
 @pytest.fixture

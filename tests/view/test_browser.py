@@ -19,6 +19,17 @@ def picture(page, path):
     return np.asarray(Image.open(path).convert("RGB"), dtype=float)
 
 
+def still(page, path):
+    """A picture when nothing in it changes any more: without a graphics card a camera moves slowly."""
+    after = picture(page, path)
+    for _ in range(10):
+        page.wait_for_timeout(500)
+        before, after = after, picture(page, path)
+        if np.abs(after - before).max() <= 20:
+            break
+    return after
+
+
 def opened(page, server):
     began = time.monotonic()
     page.goto(server.gate.address)
@@ -40,8 +51,7 @@ def test_a_run_loads_quickly_and_the_robot_moves_in_it(page, server, drive, tmp_
     assert page.errors == []
 
 
-@pytest.mark.parametrize("eye", [(0.0, -0.01, 2.5), (-0.3, -2.0, 0.8)], ids=["from above", "from the side"])
-def test_the_ellipse_is_seen_though_it_is_smaller_than_the_base(page, server, pretender, tmp_path, eye):
+def test_the_ellipse_is_seen_though_it_is_smaller_than_the_base(page, server, pretender, tmp_path):
     page.set_viewport_size({"width": 1000, "height": 700})
     teleop = Teleop(server, pretender, tmp_path)
     opened(page, server)
@@ -49,27 +59,19 @@ def test_the_ellipse_is_seen_though_it_is_smaller_than_the_base(page, server, pr
     page.add_style_tag(content=".mantine-Notification-root { display: none }")  # it says: no graphics card
     page.wait_for_timeout(2000)
     (viewer,) = server.get_clients().values()
-    viewer.camera.position, viewer.camera.look_at = np.array(eye), np.array([0.0, 0.0, 0.3])
-    pictures = []
-    for covariance in (1e-12, 1e-4):  # ten times 25 mm is the larger one's radius: the base is 0.4 m to the side
-        pretender.covariance = covariance * np.eye(3)
-        teleop.show()
-        page.wait_for_timeout(1500)
-        pictures.append(picture(page, tmp_path / "a.png"))
-    before, after = pictures
-    changed = np.abs(after - before).max(axis=2) > 20
-    assert np.mean(changed) > 0.0015
-    blue = after[changed].mean(axis=0)
-    assert blue[2] > blue[0] + 40
-
-
-def test_stop_in_the_browser_stops(page, server, pretender, tmp_path):
-    Teleop(server, pretender, tmp_path)
-    opened(page, server)
-    page.wait_for_function(f"!!{STOP}")
-    page.evaluate(f"{STOP}.click()")
-    until(lambda: pretender.stopped, page)
-    assert page.errors == []
+    for eye in ((0.0, -0.01, 2.5), (-0.3, -2.0, 0.8)):  # from above, and from the side
+        viewer.camera.position, viewer.camera.look_at = np.array(eye), np.array([0.0, 0.0, 0.3])
+        pictures = []
+        for covariance in (1e-12, 1e-4):  # ten times 25 mm is the larger one's radius: the base is 0.4 m to the side
+            pretender.covariance = covariance * np.eye(3)
+            teleop.show()
+            page.wait_for_timeout(1000)
+            pictures.append(still(page, tmp_path / "a.png"))
+        before, after = pictures
+        changed = np.abs(after - before).max(axis=2) > 20
+        assert np.mean(changed) > 0.0015
+        blue = after[changed].mean(axis=0)
+        assert blue[2] > blue[0] + 40
 
 
 BUTTONS = "...document.querySelectorAll('button')"
@@ -179,19 +181,6 @@ def test_what_is_refused_again_and_again_is_one_notice_with_a_count(
     told = [text for text in page.evaluate(notices) if "Somebody else holds the robot." in text]
     assert len(told) == 1
     page.wait_for_function(f"!{notices}.join().includes('Somebody')")  # it goes when it is over
-
-
-def test_the_space_bar_stops_from_within_a_field_and_presses_no_button(page, server, pretender, tmp_path):
-    teleop = Teleop(server, pretender, tmp_path)
-    opened(page, server)
-    page.wait_for_function(f"!!{STOP}")
-    for field in ("input", "button"):
-        pretender.stopped = 0.0
-        page.evaluate(f"[...document.querySelectorAll('#root {field}')].at(-1).focus()")
-        page.keyboard.press(" ")
-        until(lambda: pretender.stopped, page)
-    assert teleop._recorder is None
-    assert pretender.orders == []
 
 
 def test_a_finger_drives_while_it_is_down_and_stops(browser, server, pretender, running, tmp_path):

@@ -8,7 +8,6 @@ import sys
 import time
 
 import pytest
-from live_networks import Served
 from page_parts import CANVAS, STOP, until
 
 import longreach as lr
@@ -40,30 +39,21 @@ class View:
 
 
 @pytest.fixture(scope="module")
-def started():
-    """A robot and a view of it for all tests; a test that has killed one leaves the next to start another."""
-    processes = {}
-    yield processes
-    for one in processes.values():
-        one.process.send_signal(signal.SIGCONT)
+def views():
+    """The views that tests have started; all end with the module."""
+    views = []
+    yield views
+    for one in views:
         one.end()
 
 
 @pytest.fixture
-def served(started, tmp_path_factory):
-    if "served" not in started or started["served"].process.poll() is not None:
-        started["served"] = Served(tmp_path_factory.mktemp("served")).ready()
-    return started["served"]
-
-
-@pytest.fixture
-def view(started, served):
-    if "view" in started and (started["view"].served is not served or started["view"].process.poll() is not None):
-        started.pop("view").end()
-    if "view" not in started:
-        started["view"] = View(served)
-    started["view"].process.send_signal(signal.SIGCONT)
-    return started["view"]
+def view(views, served):
+    """A view of the served robot: one for all tests, until one of them kills it or the robot."""
+    if not views or views[-1].served is not served or views[-1].process.poll() is not None:
+        views.append(View(served))
+    views[-1].process.send_signal(signal.SIGCONT)
+    return views[-1]
 
 
 def limit(seconds):

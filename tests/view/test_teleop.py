@@ -133,6 +133,27 @@ def test_a_key_that_is_released_after_a_stop_says_nothing(teleop, pretender, run
     assert not teleop._notices._given
 
 
+def test_a_state_that_cannot_be_drawn_is_said_once_and_the_keys_work_on(
+    teleop, pretender, running, caplog, monkeypatch
+):
+    def fail(frame):
+        raise ValueError("no such link")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(teleop.scene, "show", fail)
+        running(teleop.loop)
+        until(lambda: teleop._notices._given and count(teleop) > 2)
+        (notice,) = teleop._notices._given.values()
+        assert notice.title == "The scene is out of date"
+        assert "no such link" in notice.body
+        assert len([record for record in caplog.records if "could not show" in record.message]) == 1
+        until(lambda: teleop.control.hold("page", "I") or twists(pretender))
+        until(lambda: "held by" in teleop._status.content)
+    before = len(teleop._trails["base driven"].points)
+    pretender._q = pretender._q + 1.0
+    until(lambda: len(teleop._trails["base driven"].points) > before)  # it draws again
+
+
 @pytest.mark.parametrize(("limited", "minded", "words"), [
     ("It is <b>ahead</b>.", True, "Slowed down</b>: It is &lt;b&gt;ahead&lt;/b&gt;."),
     ("", False, "obstacles not minded"),
@@ -226,7 +247,7 @@ def test_a_recording_that_cannot_go_on_ends_and_the_page_says_why(teleop, monkey
     teleop.record()
     teleop._recorder.error = "run.mcap cannot be written any more: No space left on device."
     teleop.show()
-    assert said[-1][0] == "The recording has ended early"
+    assert said[-1][0] == "The recording is not whole"
     assert "No space left" in said[-1][1]
     assert teleop.record_button.label == "Record"
 

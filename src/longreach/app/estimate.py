@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from longreach.app import plausibility
 from longreach.app.configuration import EstimateConfig
+from longreach.app.doctor import examine
 from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate, innovations, match_consistency
 from longreach.errors import EstimationError
 from longreach.estimation.planar import filter as planar_filter
@@ -22,19 +24,23 @@ from longreach.localization.localizer import LocalizerState, Output, Reading, Ro
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
-from longreach.odometry.wheel import wheel_odometry
+from longreach.odometry.wheel import WheelOdometry, wheel_odometry
 from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 _FILTERED = ("fused", "localized", "smoothed")
 _BLOCK = 500  # readings between two reports of progress
+_FAULTS = 4  # of a recording's sources that are found at most; each costs a run
 _WIDER = 3.0  # the fixes are smoothed as well, so what they say of the start is taken with a larger deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimation gives: trajectories by name, what they are worth, the matches and corrections behind them."""
+    """What an estimation gives: trajectories by name, what they are worth, the matches and corrections behind them.
+
+    verdict: by its own innovations, where its covariance does not hold, a sentence; "" where it does.
+    """
 
     recording: Recording
     robot: RobotDescription
@@ -42,6 +48,7 @@ class Estimate:
     matches: Sequence[ScanMatch]
     corrections: Sequence[Correction]
     evaluation: Evaluation
+    verdict: str = ""
 
     @property
     def trajectories(self) -> Mapping[str, PoseTrajectory]:
@@ -57,8 +64,8 @@ class Estimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was repaired, left out or refused, a sentence each."""
-        return self.evaluation.remarks
+        """What was repaired, left out or refused, a sentence each; the first one where the covariance does not hold."""
+        return (self.verdict, *self.evaluation.remarks) if self.verdict else self.evaluation.remarks
 
     @property
     def lidar_measurements(self) -> tuple[RelativePoseMeasurement, ...]:
@@ -90,19 +97,19 @@ def estimate(
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    sources = sources_of(recording, robot, config)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
 
+    done = localized(recording, robot, config, tell)  # (3.27)-(3.29)
+    recording = done.recording
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
-    alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in sources else ()
-    done = localized(recording, robot, config, sources, tell)  # (3.27)-(3.29)
+    alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in done.sources else ()
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
 
     tell("evaluation", 0.0)
     rows = {name: _at_rows(path, recording) for name, path in estimated.items() if len(path)}
-    matches = alone if "wheels" in sources else done.output.matches
+    matches = alone if "wheels" in done.sources else done.output.matches
     dead_reckoning = {
         "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans]),
         "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
@@ -110,21 +117,50 @@ def estimate(
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
     metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
-    remarks = (*recording.remarks, *_remarks(wheels.breaks, done), *evaluation.remarks)
+    remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
-    return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation)
+    verdict = plausibility.verdict(done.output.corrections)
+    return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation, verdict)
 
 
 class Done(NamedTuple):
-    """The localizer after all readings, and all that it gave out."""
+    """The localizer after all readings, and all that it gave out.
+
+    recording, sources: what was fused, after what was wrong with it was put right or left out; remarks: of that.
+    """
 
     state: LocalizerState
     output: Output
+    recording: Recording
+    sources: tuple[Source, ...]
+    remarks: tuple[str, ...]
 
 
-def localized(
+def localized(recording: Recording, robot: RobotDescription, config: EstimateConfig, tell: Progress) -> Done:
+    """Examine a recording and estimate; where a source contradicts the others, put it right or leave it out, and again.
+
+    Sources that were asked for by name are not left out.
+    """
+    recording, found = examine(recording, robot, sensor_mount(recording, robot, "imu"))
+    sources, remarks = _sources(recording, robot, config), list(found)
+    while True:
+        state, output = _folded(recording, robot, config, sources, tell)
+        done = Done(state, output, recording, sources, tuple(remarks))
+        said = plausibility.motions(output.matches, output.events)
+        fault = plausibility.fault(said, has_mount(recording, robot, "lidar"))
+        if fault is None or len(remarks) == len(found) + _FAULTS:
+            return done
+        remarks.append(fault.remark)
+        if fault.mend == "note" or (fault.mend == "leave" and config.sources is not None):
+            return done._replace(remarks=tuple(remarks))
+        if fault.mend == "leave":
+            sources = tuple[Source, ...](source for source in sources if source != fault.source)
+        recording = plausibility.mended(recording, fault)
+
+
+def _folded(
     recording: Recording, robot: RobotDescription, config: EstimateConfig, sources: Sequence[Source], tell: Progress
-) -> Done:
+) -> tuple[LocalizerState, Output]:
     """Fold the localizer's step over all readings; they are in order, so it needs no history."""
     found = {"wheels": recording.wheels, "imu": recording.imu, "fixes": recording.fixes, "lidar": recording.scans}
     readings: list[Reading] = [reading for name in found if name in sources for reading in found[name]]
@@ -146,7 +182,7 @@ def localized(
             f"{len(recording.imu)} IMU readings and {len(recording.fixes)} fixes show no motion; it takes two good "
             "wheel records or scans."
         )
-    return Done(state, output)
+    return state, output
 
 
 def _path(rows: Sequence[Row]) -> PoseTrajectory:
@@ -179,12 +215,21 @@ def sensor_mount(recording: Recording, robot: RobotDescription, sensor: str) -> 
     described = getattr(robot, sensor)
     if described is not None and described.mount is not None:
         return described.mount.matrix()
+    return np.asarray(recording.mounts.get(_frame(recording, sensor), np.eye(4)))
+
+
+def has_mount(recording: Recording, robot: RobotDescription, sensor: str) -> bool:
+    """Whether anything says where a sensor is mounted."""
+    described = getattr(robot, sensor)
+    return (described is not None and described.mount is not None) or _frame(recording, sensor) in recording.mounts
+
+
+def _frame(recording: Recording, sensor: str) -> str:
     records = {"lidar": recording.scans, "imu": recording.imu}[sensor]
-    frame = records[0].frame if records else ""
-    return np.asarray(recording.mounts.get(frame, np.eye(4)))
+    return records[0].frame if records else ""
 
 
-def sources_of(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
+def _sources(recording: Recording, robot: RobotDescription, config: EstimateConfig) -> tuple[Source, ...]:
     """Return what is fused, of what can be.
 
     Raises:
@@ -243,10 +288,16 @@ def _as_recorded(paths: Mapping[str, PoseTrajectory], recording: Recording) -> d
     }
 
 
-def _remarks(breaks: int, done: Done) -> list[str]:
+def _remarks(wheels: WheelOdometry, done: Done) -> list[str]:
     remarks, matches = [], done.output.matches
-    if breaks:
-        remarks.append(f"The wheels' counts jumped {breaks} times; nothing was taken across the jumps.")
+    if wheels.refused:
+        remarks.append(f"{wheels.refused} records of the wheels are not finite; they were passed over.")
+    if wheels.wraps:
+        remarks.append(
+            f"The wheels' readings start again after {wheels.wrap_range:g}; they were continued {wheels.wraps} times."
+        )
+    if wheels.breaks:
+        remarks.append(f"The wheels' counts jumped {wheels.breaks} times; nothing was taken across the jumps.")
     if done.state.now.fixed:
         remarks.append("The fixes lie too near each other to show the heading on the map, so nothing is localized.")
     if done.state.buffer.waiting:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from longreach.app.configuration import EstimateConfig, EvaluationConfig
 from longreach.app.estimate import Estimate, estimate
@@ -21,10 +21,14 @@ from longreach.io.robots import load_robot
 from longreach.io.whole_files import whole_folder
 from longreach.localization.config import Source
 from longreach.measurement import Recording
-from longreach.sim.record import make_recording
+from longreach.sim.long_drive import TOP_SPEED, long_drive, tucked, ways_of
+from longreach.sim.physics import Simulation
+from longreach.sim.record import make_recording, record, steered
 from longreach.sim.simulated import Simulated
+from longreach.sim.worlds import load_world
 
 Progress = Callable[[str, float], None]
+LABORATORY = "laboratory"
 
 # What is fused in each estimate: figure 6.2 has wheels alone, LIDAR alone, and both.
 VARIANTS: Mapping[str, tuple[Source, ...] | None] = {
@@ -52,9 +56,19 @@ class LocalizationConfig(BaseModel):
     seed: int = Field(default=0, ge=0, description="Of everything random.")
     seeds: int = Field(default=1, ge=1, description="How many runs, with seeds counted on from the first.")
     duration: float = Field(default=120.0, ge=1.0, description="Of the drive [s]; the thesis' 120 s.")
-    floor: str | float = Field(default="good", description="good, worn, wet, slippery, or a coefficient of friction.")
+    world: str = Field(default="laboratory", description="There it drives erratically; else along the world's ways.")
+    floor: str | float | None = Field(
+        default=None, description="good, worn, wet, slippery, or a coefficient of friction; as the world says."
+    )
     video: bool = Field(default=False, description="Whether a film of the first run is written, drive.gif.")
     view: bool = Field(default=False, description="Whether a window shows it while it goes on.")
+
+    @field_validator("world")
+    @classmethod
+    def _check_ways(cls, world: str) -> str:
+        if world != LABORATORY:
+            ways_of(load_world(world))
+        return world
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +99,14 @@ def localize(
         if watch is not None:
             watch(simulation)
 
-    recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor, watch=driven)
+    if config.world == LABORATORY:
+        recording = make_recording(robot, seed=seed, duration=config.duration, floor=config.floor, watch=driven)
+    else:
+        world = load_world(config.world)
+        simulation = Simulation(robot, world, seed=seed, floor=config.floor, q=tucked(robot))
+        rate = simulation.capabilities.base_rate
+        motion = long_drive(world, TOP_SPEED * config.duration, seed, rate)
+        recording = record(simulation, steered(simulation, motion), config.duration, driven)
     none = EvaluationConfig(align="none")
     estimates = {}
     for i, (name, sources) in enumerate(VARIANTS.items()):
@@ -145,9 +166,11 @@ def _write(
     tell: Progress,
     shown: Show,
 ) -> None:
+    how = "fast and erratically" if config.world == LABORATORY else "from place to place"
+    floor = "" if config.floor is None else f"on a floor called {config.floor}, "
     introduction = (
-        f"The {run.fused.robot.name} drives fast and erratically through the laboratory for {config.duration:g} s, on "
-        f"a floor called {config.floor}, with physics: wheels with rollers, which slip.\n\nfused: wheels, LIDAR, IMU; "
+        f"The {run.fused.robot.name} drives {how} through the world {config.world} for {config.duration:g} s, "
+        f"{floor}with physics: wheels with rollers, which slip.\n\nfused: wheels, LIDAR, IMU; "
         "wheels_lidar and wheels_imu: without the third; wheels: integrated; lidar: alone."
     )
     with whole_folder(out) as folder:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from longreach.app.configuration import EstimateConfig
-from longreach.app.estimate import localized, sensor_mount, sources_of
+from longreach.app.estimate import localized, sensor_mount
 from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate
 from longreach.app.outputs import comparison_figures, write_trajectories
 from longreach.app.results import write_results
@@ -90,11 +90,12 @@ def build_map(
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    scans, laser = recording.scans, sensor_mount(recording, robot, "lidar")
-    if len(scans) < 2:
-        raise MappingError(f"{recording.name} has {len(scans)} scans; a map takes a LIDAR's, two at least.")
+    if len(recording.scans) < 2:
+        raise MappingError(f"{recording.name} has {len(recording.scans)} scans; a map takes a LIDAR's, two at least.")
 
-    done = localized(recording, robot, config, sources_of(recording, robot, config), tell)
+    done = localized(recording, robot, config, tell)
+    recording, laser = done.recording, sensor_mount(done.recording, robot, "lidar")
+    scans = recording.scans
     stamps = {scan.stamp for scan in scans}
     rows = [PathRow(*row) for row in done.output.rows if row.stamp in stamps]
     state = mapper.init(laser)
@@ -118,7 +119,7 @@ def build_map(
     evaluation = replace(
         evaluation,
         metrics=_with_counts(evaluation, state, closures),
-        remarks=(*recording.remarks, *evaluation.remarks, *_remarks(closures)),
+        remarks=(*recording.remarks, *done.remarks, *evaluation.remarks, *_remarks(closures)),
     )
     value = _map_of(recording, robot, laser, state, solved)
     return Mapped(recording, robot, config, value, closures, evaluation)

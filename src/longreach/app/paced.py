@@ -5,7 +5,6 @@ import time
 from longreach.control import ticker
 from longreach.sim.simulated import Simulated
 
-_LATE = 1e-3  # a tick that begins later than this is counted [s]; a ticker's tolerance
 _BEHIND = 0.1  # further behind the wall than this, the simulation stops catching up [s]; ours
 
 
@@ -29,7 +28,7 @@ class Paced:
         time.sleep(max(due - time.monotonic(), 0.0))
         late = max(time.monotonic() - due, 0.0)
         self.lateness = ticker.counted(self.lateness, late)
-        self.late += late > _LATE
+        self.late += late > ticker.TOLERANCE
         if late > _BEHIND:
             self._ahead += late
             self.behind += late

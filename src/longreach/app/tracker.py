@@ -122,7 +122,12 @@ def check_plan(
     """Raise a ControlError where a plan is of other joints than the robot's, or does not begin near q (n,)."""
     if plan.q.shape[1] != robot.dof:
         raise ControlError(f"The plan is of {plan.q.shape[1]} joints, but {robot.name} has {robot.dof}.")
-    away = float(np.abs(plan.q[0] - q).max())
+    apart = plan.q[0] - q
+    if robot.base.stop:
+        apart[2] = (
+            np.remainder(apart[2] + np.pi, 2 * np.pi) - np.pi
+        )  # the estimate's heading is wrapped, a plan's is not
+    away = float(np.abs(apart).max())
     if away > config.safety.position_lag:
         raise ControlError(f"The plan begins {away:.2f} rad or m away from where the robot is; plan from there.")
 
@@ -151,7 +156,8 @@ def step(
     innovations = tuple(_innovation(c) for c in estimated.corrections if c.dof or c.status == "refused")
     commanded, contact = state.commanded, state.contact
     if "wheels" in state.gate.config.stale_after:
-        commanded = se2.compose(commanded, se2.exp((now - state.stamp) * state.gate.twist))
+        lasted = min(now - state.stamp, config.safety.command_timeout)  # beyond it a driver stops by itself
+        commanded = se2.compose(commanded, se2.exp(lasted * state.gate.twist))
         contact = base_contact.step(contact, now, commanded, where.now.dead_reckoned, belief.pose)
     health = Health(innovations, heartbeat, belief.pose, contact.reason)
     gate, command = safety.step(state.gate, desired, readings, health, now)  # guard
@@ -171,16 +177,19 @@ def step(
         commanded=commanded,
         contact=contact,
     )
-    return _ended_early(after), command, tick
+    return _ended_early(after, state.stamp), command, tick
 
 
-def _ended_early(state: TrackerState) -> TrackerState:
-    """Return the state without a goal that must not go on by itself: after a stop, or in front of an obstacle."""
+def _ended_early(state: TrackerState, before: float) -> TrackerState:
+    """Return the state without a goal that must not go on by itself: after a stop, or in front of an obstacle.
+
+    before: of the tick before [s]: where the loop itself halted, the robot has stood since then.
+    """
     stop, around, now = state.gate.stop, state.gate.obstacles, state.stamp
     blocked = around is not None and around.part < _BLOCKED_PART and isinstance(state.goal, Follow) and stop is None
     since = (state.blocked or now) if blocked else None
     why = ""
-    if stop is not None and (stop.latched or stop.cause == "client gone" or now - stop.since > _HALT):
+    if stop is not None and (stop.latched or stop.cause == "client gone" or now - min(stop.since, before) > _HALT):
         why = stop.reason
     elif around is not None and since is not None and now - since > _BLOCKED:
         why = f"{around.reason} The plan has waited {_BLOCKED:g} s for it to go."

@@ -23,13 +23,13 @@ def command(
     stop: bool = typer.Option(False, "--stop", help="Stop the robot, whoever holds it."),
     reset: bool = typer.Option(False, "--reset", help="Let it move again after a stop."),
     duration: float | None = typer.Option(
-        None, min=0.0, help="Watch, or drive, for so many seconds; else until interrupted."
+        None, help="Watch, or drive, for so many seconds; else watch until interrupted, and drive for 1 s."
     ),
 ) -> None:
     """Watch a robot over the network, or let it do one thing."""
     import numpy as np
 
-    from longreach.cli.tokens import read_token
+    from longreach.cli.options import check_duration, read_token
     from longreach.cli.watching import numbers, watched
     from longreach.errors import LiveError
     from longreach.io.reference import read_reference
@@ -38,6 +38,7 @@ def command(
     from longreach.planning.planner import check_method
 
     check_method(method)
+    check_duration(duration)
     q = None if move_to is None else numbers(move_to, None, "--move-to")
     way = None if tool_by is None else numbers(tool_by, 3, "--tool-by")
     twist = None if velocity is None else numbers(velocity, 3, "--velocity")
@@ -54,7 +55,7 @@ def command(
             client.gripper(gripper)
         _move(client, method, q, way, reference)
         if twist is not None:
-            _drive(client, twist, duration or 1.0)
+            _drive(client, twist, 1.0 if duration is None else duration)
         if not (stop or reset) and all(given is None for given in (gripper, q, way, reference, twist)):
             watched(client, duration)
         typer.echo(f"The robot is at {np.array2string(client.state.q, precision=3, suppress_small=True)}.")

@@ -16,7 +16,7 @@ def command(
     duration: float | None = typer.Option(None, help="localization: length of the drive in seconds; 120."),
     length: float | None = typer.Option(None, help="dual-trajectory: of the tool's line in metres; 2."),
     objective: str | None = typer.Option(None, help="manipulability: sqrt_kappa_over_m (4.33), or neg_log_m."),
-    world: str | None = typer.Option(None, help="laboratory, office, corridor, warehouse, hall, or a YAML file."),
+    world: str | None = typer.Option(None, help="laboratory, building, storehouse, twins, office, …, or a YAML file."),
     video: bool = typer.Option(False, "--video", help="Write a film of the run, drive.gif."),
     view: bool = typer.Option(False, "--view", help="Show the run in a window, where there is a screen."),
     floor: str | None = typer.Option(None, help="good, worn, wet, slippery, or a coefficient of friction."),

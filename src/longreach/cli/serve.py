@@ -28,19 +28,18 @@ def command(
         None, help="Of a simulated robot: laboratory (default), office, corridor, warehouse, … or a YAML file."
     ),
     floor: str | None = typer.Option(None, help="Of sim: good, worn, wet, slippery, or a coefficient of friction."),
-    seed: int = typer.Option(0, min=0, help="Seed of everything random in a simulation."),
+    seed: int | None = typer.Option(None, min=0, help="Seed of everything random in a simulation (default: 0)."),
     scans: bool = typer.Option(True, help="Whether a robot, kinematic or of ROS, has its laser."),
     obstacles: bool = typer.Option(True, help="Whether the base minds what its laser sees."),
-    duration: float | None = typer.Option(
-        None, min=0.0, help="End after so many seconds; else when it is interrupted."
-    ),
+    duration: float | None = typer.Option(None, help="End after so many seconds; else when it is interrupted."),
 ) -> None:
     """Serve a robot, simulated or real: its loop, its safety gate and what it says and hears on the network."""
     from longreach.app.operated import SIMULATED
     from longreach.app.warmup import warm_up
+    from longreach.cli.options import WATCHER_TOKEN, check_duration, read_token
     from longreach.cli.progress import show_log, shown_progress
-    from longreach.cli.tokens import WATCHER_TOKEN, read_token
-    from longreach.io.bag_writer import check_new_bag
+    from longreach.errors import RecordingError
+    from longreach.io.bag_recorder import check_recording
     from longreach.io.robots import load_robot
     from longreach.io.whole_files import check_place
     from longreach.live.protocol.transport import server_settings
@@ -53,9 +52,10 @@ def command(
     loaded, rejections = load_robot(robot), RejectionCounts()
     token, watcher_token = read_token(token_file), read_token(watcher_token_file, WATCHER_TOKEN)
     server_settings(address, token, certificates, watcher_token)
-    place = _world(hardware, loaded, world, floor)
+    check_duration(duration)
+    place = _world(hardware, loaded, world, floor, seed, scans)
     if record is not None:
-        check_new_bag(record)
+        check_recording(record)
         check_place(record)
     show_log()  # what is wrong with the options has been said before anything that takes time
     with shown_progress() as progress:
@@ -63,25 +63,27 @@ def command(
         warm_up(progress, "estimation", "scans", "physics" if kind == "sim" else kind)
         progress("rehearsing", 0.0)
         rehearse(loaded, kind)
-    body, wait_until, scans = _hardware(hardware, loaded, place, seed, scans)
+    body, wait_until, scans = _hardware(hardware, loaded, place, seed or 0, scans)
     apply_realtime_settings()
 
     with counted(rejections):
-        rhythm = serve(
+        rhythm, wrong = serve(
             body, wait_until, loaded, described(robot), ServerConfig(address, token, certificates, watcher_token),
             _ended(duration), record=record, scans=scans, obstacles=obstacles, rejections=rejections,
             ready=lambda _: _say_ready(loaded.name, address),
         )  # fmt: skip
     _say_how_it_was(rhythm, rejections)
-    if record is not None and record.exists():
+    if wrong:
+        raise RecordingError(wrong)
+    if record is not None:
         typer.echo(f"The recording is {record}.")
 
 
-def _world(kind: str, robot: Any, world: str | None, floor: str | None) -> Any:
+def _world(kind: str, robot: Any, world: str | None, floor: str | None, seed: int | None, scans: bool) -> Any:
     """Return where a robot is simulated; None where it is not.
 
     Raises:
-        ConfigError: it cannot be simulated, or world or floor would do nothing.
+        ConfigError: it cannot be simulated, or an option would do nothing.
     """
     from longreach.app.operated import check_simulated
     from longreach.errors import ConfigError
@@ -90,7 +92,13 @@ def _world(kind: str, robot: Any, world: str | None, floor: str | None) -> Any:
     if kind == "ros":
         if world is not None or floor is not None:
             raise ConfigError("A robot of ROS has a world and a floor of its own; leave out --world and --floor.")
+        if seed is not None:
+            raise ConfigError("Nothing of a robot of ROS is random here; leave out --seed.")
         return None
+    if kind == "sim" and not scans:
+        raise ConfigError(
+            "A robot with physics has its laser always; take --hardware kinematic, or leave out --no-scans."
+        )
     if floor is not None and kind == "kinematic":
         raise ConfigError("A kinematic robot slips alike on every floor; take --hardware sim, or leave out --floor.")
     place = load_world(world or "laboratory")
@@ -111,7 +119,7 @@ def _say_how_it_was(rhythm: Any, rejections: Any) -> None:
         median, high = (1e3 * durations.percentile(p) for p in (50, 99))
         longest = 1e3 * durations.worst
         typer.echo(f"{what} {median:.1f} ms (median), {high:.1f} ms (99th percentile), {longest:.1f} ms at most.")
-    typer.echo(f"{rhythm.late} of {rhythm.ticks} ticks were more than 1 ms late.")
+    typer.echo(f"{rhythm.late} of {rhythm.ticks} ticks were more than {1e3 * rhythm.tolerance:g} ms late.")
     for why, count in sorted(rejections.counts.items()):
         typer.echo(f"Refused {count}: {why}.")
 
@@ -125,7 +133,7 @@ def _hardware(kind: str, robot: Any, world: Any, seed: int, scans: bool) -> tupl
         return body, body.wait_until, scans and robot.description.lidar is not None
     from longreach.app.operated import simulated
 
-    return simulated(kind, robot, world, seed, scans), None, scans or kind == "sim"
+    return simulated(kind, robot, world, seed, scans), None, scans
 
 
 def _ended(duration: float | None) -> Callable[[], str]:

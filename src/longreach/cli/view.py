@@ -17,24 +17,31 @@ def command(
     ),
     certificates: Path | None = typer.Option(None, help="Folder with ca.pem, and client.pem and client.key."),
     open: bool = typer.Option(False, "--open", help="Open the page in this machine's browser."),
-    duration: float | None = typer.Option(None, min=0.0, help="End after so many seconds; else when interrupted."),
+    duration: float | None = typer.Option(None, help="End after so many seconds; else when interrupted."),
 ) -> None:
     """Show a recorded run, or a robot over the network, in the browser."""
+    from longreach.cli.options import check_duration, read_token
     from longreach.errors import ConfigError
+    from longreach.io.whole_files import check_place
 
+    check_duration(duration)
     if (recording is None) == (connect is None):
         raise ConfigError("Give either a recording to look at, or --connect with a robot's address.")
+    if connect is not None and not (export is None and robot is None and estimate is None):
+        raise ConfigError("--export, --robot and --estimate are for a recording; leave them out with --connect.")
+    if recording is not None and not (token_file is None and certificates is None):
+        raise ConfigError(
+            "--token-file and --certificates are for a robot's network; give --connect, or leave them out."
+        )
     if export is None:
         _check_port(port)
     else:
-        from longreach.io.whole_files import check_place
-
         check_place(export)
+        if export.is_dir():
+            raise ConfigError(f"{export} is a folder; give a file for the scene, as {export / 'run.html'}.")
     if recording is not None:
         _show_recording(recording, robot, estimate, port, export, open, duration)
     elif connect is not None:
-        from longreach.cli.tokens import read_token
-
         _show_robot(connect, read_token(token_file), certificates, port, open, duration)
 
 
@@ -71,9 +78,10 @@ def _show_recording(
     typer.echo(f"Reading {recording} …")
     run = read_run(recording, robot, estimate)
     if export is not None:
+        from longreach.io.whole_files import write_text
         from longreach.view.export import page_html
 
-        export.write_text(page_html(run), encoding="utf-8")
+        write_text(export, page_html(run))
         typer.echo(f"The scene is in {export}; open it in a browser.")
         return
     server = open_page(port=port)

@@ -29,7 +29,8 @@ def numbers(text: str, count: int | None, option: str) -> np.ndarray:
 
 def watched(client: Client, duration: float | None) -> None:
     """Show the newest state, over and over on a terminal, until the time is over [s] or somebody interrupts."""
-    end, until = ("\r", "\n") if sys.stdout.isatty() else ("\n", ""), time.monotonic() + (duration or np.inf)
+    end = ("\r", "\n") if sys.stdout.isatty() else ("\n", "")
+    until = time.monotonic() + (np.inf if duration is None else duration)
     while time.monotonic() < until:
         print(line(client), end=end[0], flush=True)
         time.sleep(min(_EVERY if sys.stdout.isatty() else 1.0, max(until - time.monotonic(), 0.0)))

@@ -69,7 +69,7 @@ def watch(state: Watch, config: SafetyConfig, readings: Readings, health: Health
             seen = {**seen, source: usable[-1]}
     rest, jolt = state.rest, 0.0
     for imu in readings.imu:
-        if _usable("imu", imu):
+        if imu.acceleration is not None and _usable("imu", imu):
             rest, jolt = _jolted(rest, imu.acceleration, jolt)
     state = state._replace(seen=seen, rest=rest, jolt=jolt)
     if not health.innovations:
@@ -104,8 +104,9 @@ def _usable(source: str, record: Any) -> bool:
         return False
     names = _NUMBERS.get(source, ())
     if source == "wheels":
-        names = [name for name in ("speeds", "ticks", "twist", "pose") if getattr(record, name, None) is not None]
-    return all(finite(getattr(record, name)) for name in names)
+        names = ("speeds", "ticks", "twist", "pose")
+    values = (getattr(record, name, None) for name in names)
+    return all(finite(value) for value in values if value is not None)
 
 
 def latching_stop(config: SafetyConfig, state: Watch, readings: Readings, health: Health, now: float) -> Stop | None:

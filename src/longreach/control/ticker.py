@@ -13,6 +13,7 @@ from jaxtyping import Int
 
 from longreach.errors import ControlError
 
+TOLERANCE = 1e-3  # so late is not late yet [s]
 _SHORTEST, _GROWTH, _BINS = 1e-6, 1.05, 380  # from a microsecond to two minutes in steps of 5 %
 
 
@@ -73,7 +74,7 @@ class Ticker:
         return self.lateness.total
 
 
-def init(period: float, now: float, tolerance: float = 1e-3) -> Ticker:
+def init(period: float, now: float, tolerance: float = TOLERANCE) -> Ticker:
     """Start: the first tick is due now.
 
     Raises:

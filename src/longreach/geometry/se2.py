@@ -113,3 +113,10 @@ def transform(pose: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 2"]) ->
 def from_se3(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
     """Return the planar part [x, y, yaw] of a rigid motion in space."""
     return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+
+
+def to_se3(pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Return a planar pose as a rigid motion in space, in the plane z = 0."""
+    T, (c, s) = np.eye(4), (np.cos(pose[2]), np.sin(pose[2]))
+    T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], pose[:2]
+    return T

@@ -5,6 +5,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -18,11 +19,20 @@ _WAITING = 20_000  # messages that the disk has not taken yet; about 20 s of a r
 _LOG = logging.getLogger("longreach.recorder")
 
 
+def check_recording(path: Path) -> None:
+    """Raise a RecordingError where what a robot says cannot be recorded under this name."""
+    if path.suffix != ".mcap":
+        raise RecordingError(f"Nothing can be recorded into {path}: end it with .mcap.")
+    if path.is_dir():
+        raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
+
+
 class Recorder:
     """Writes a new MCAP in a thread of its own: whoever gives it messages never waits for the disk.
 
     The file is in its place from the first messages on, and replaces another one only then. Its end is written when the
-    recorder is closed. Where it cannot be written any more, `error` and the log say why, and it stays as it is.
+    recorder is closed. Where it cannot be written any more, `error` and the log say why, and it stays as it is; what it
+    lacks they say once it is closed.
 
     ended: is called when the recorder is closed.
 
@@ -31,10 +41,7 @@ class Recorder:
     """
 
     def __init__(self, path: Path) -> None:
-        if path.suffix != ".mcap":
-            raise RecordingError(f"Nothing can be recorded into {path}: end it with .mcap.")
-        if path.is_dir():
-            raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
+        check_recording(path)
         self.path, self.error = path, ""
         self.ended: Callable[[], None] = lambda: None
         self._hidden = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.mcap")  # before the first messages
@@ -45,6 +52,8 @@ class Recorder:
             self._file = McapWriter(self._hidden)
             self._bag = BagWriter(self._file)
         except OSError as error:
+            with suppress(OSError):  # where there is no folder there is no file
+                self._hidden.unlink()
             raise RecordingError(f"{path} cannot be written: {error.strerror or error}.") from error
         self._thread = Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -68,13 +77,21 @@ class Recorder:
                     self._put_in_place()
         except Exception as error:  # whatever it is, the robot goes on
             reason = error.strerror if isinstance(error, OSError) else error
-            self.error = f"{self.path} cannot be written any more: {reason}. What was recorded before can be read."
+            self.error = f"{self.path} cannot be written any more: {reason}. {self._kept()}"
             _LOG.error(self.error)
         if not self._file.count:
             self._hidden.unlink(missing_ok=True)
             self.error = self.error or "Nothing was recorded: no message has come."
         if self._lost:
-            _LOG.warning("%s lacks %d messages that the disk was too slow for.", self.path, self._lost)
+            lost = f"{self.path} lacks {self._lost} messages that the disk was too slow for."
+            self.error = f"{self.error} {lost}".strip()
+            _LOG.warning(lost)
+
+    def _kept(self) -> str:
+        if not self._file.count:
+            return "Nothing was recorded."
+        where = f" in {self._hidden}" if self._hidden.exists() else ""
+        return f"What was recorded before can be read{where}."
 
     def _write_all(self) -> None:
         """Write what comes until there is a None, and a chunk every while."""

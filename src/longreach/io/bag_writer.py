@@ -88,16 +88,6 @@ class BagWriter:
         return self._writer.add_connection(topic, type, typestore=self._store, offered_qos_profiles=profiles)
 
 
-def check_new_bag(path: Path) -> None:
-    """Raise a RecordingError where a new bag cannot have this name."""
-    if path.suffix not in (".mcap", ".bag", ""):
-        raise RecordingError(
-            f"{path} cannot be written: end it with .mcap or .bag, or with nothing for a ROS 2 folder."
-        )
-    if path.is_dir():
-        raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
-
-
 @contextmanager
 def new_bag(path: Path) -> Iterator[BagWriter]:
     """Open a new bag whose suffix says its kind: .mcap, .bag (ROS 1), or none for a ROS 2 folder with sqlite3.
@@ -108,7 +98,12 @@ def new_bag(path: Path) -> Iterator[BagWriter]:
     Raises:
         RecordingError: the suffix is another, the folder is there already, or it cannot be written.
     """
-    check_new_bag(path)
+    if path.suffix not in (".mcap", ".bag", ""):
+        raise RecordingError(
+            f"{path} cannot be written: end it with .mcap or .bag, or with nothing for a ROS 2 folder."
+        )
+    if path.is_dir():
+        raise RecordingError(f"The folder {path} is there already; remove it or give another name.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         workplace = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))

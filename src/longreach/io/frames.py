@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.geometry import se3, so3
+from longreach.io.messages import rotation_matrix
 from longreach.io.records import frame_name
 
 _BASES = ("base_link", "base_footprint")
@@ -35,20 +36,52 @@ class FrameTree:
             if known[0] != parent or not still:  # not still either where there is a NaN
                 self._moving.add(child)
 
-    def mounts(self, frames: Iterable[str]) -> tuple[dict[str, Float[np.ndarray, "4 4"]], tuple[str, ...]]:
-        """Return T_base_sensor (4, 4) of the frames that are fixed to the base, and which of the frames move."""
-        base = next((frame for frame in _BASES if frame in self._names()), None)
+    def mounts(
+        self, frames: Iterable[str], driven: str = ""
+    ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], dict[str, str]]:
+        """Return T_base_sensor (4, 4) of the frames that are fixed to the base, and why there is none of the others.
+
+        driven: the frame whose motion the wheels' odometry says, which is the base where no frame has the usual name.
+        """
+        frames = list(frames)
+        base = self.base(frames, driven)
         found: dict[str, np.ndarray] = {}
-        moving = []
+        missing: dict[str, str] = {}
         for frame in frames:
-            if base is None or frame == base or frame not in self._names():
-                continue
-            T = self._between(base, frame)
-            if T is None:
-                moving.append(frame)
-            else:
+            name = self.resolved(frame)
+            if base is None:
+                missing[frame] = "no transform names a base_link"
+            elif name is None:
+                missing[frame] = f"no transform names it, or several do: {', '.join(sorted(self._names()))}"
+            elif (T := self.between(base, name)) is not None:
                 found[frame] = T
-        return found, tuple(moving)
+            elif any(above in self._moving for above in (*self._above(base), *self._above(name))):
+                missing[frame] = f"it moves in {base}"
+            else:
+                missing[frame] = f"no transform joins it to {base}"
+        return found, missing
+
+    def base(self, frames: Iterable[str], driven: str = "") -> str | None:
+        """Return the frame of the base: of all called base_link, with any prefix, the one that most frames stand in.
+
+        Where there is none, base_footprint, then the frame that is driven.
+        """
+        sensors = [name for name in map(self.resolved, frames) if name is not None]
+        for wanted in (*_BASES, _last(driven)):
+            named = sorted(name for name in self._names() if _last(name) == wanted)
+            if wanted and named:
+                return max(named, key=lambda name: sum(self.between(name, sensor) is not None for sensor in sensors))
+        return None
+
+    def resolved(self, frame: str) -> str | None:
+        """Return a frame as the transforms call it: by its name, else by the last part of it where only one has that.
+
+        Robots that share a tree put their name before all frames, and not every driver does: laser, robot1/laser.
+        """
+        if frame in self._names():
+            return frame
+        named = [name for name in self._names() if _last(name) == _last(frame)]
+        return named[0] if len(named) == 1 else None
 
     def place(self, parent: str, child: str, xyz: Float[np.ndarray, "3"], rpy: Float[np.ndarray, "3"]) -> None:
         """Fix a frame in another [m, rad], whatever the recording says of it."""
@@ -86,15 +119,16 @@ class FrameTree:
         return above
 
 
+def is_base(frame: str) -> bool:
+    """Whether a frame has the usual name of a base."""
+    return _last(frame) in _BASES
+
+
+def _last(frame: str) -> str:
+    """Return a frame's name without what stands before the last slash."""
+    return frame.rpartition("/")[2]
+
+
 def _matrix(values: np.ndarray) -> np.ndarray:
-    """Return the motion (4, 4) of a translation and a quaternion xyzw, which need not be of unit length."""
-    size = np.linalg.norm(values[3:])
-    x, y, z, w = values[3:] / size if size > 0 else np.array([0.0, 0.0, 0.0, 1.0])
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return se3.from_rotation_translation(R, values[:3])
+    """Return the motion (4, 4) of a translation and a quaternion xyzw."""
+    return se3.from_rotation_translation(rotation_matrix(values[3:]), values[:3])

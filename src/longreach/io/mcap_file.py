@@ -2,7 +2,7 @@
 
 What its topics are stands before the chunks: a damaged chunk takes no topic with it.
 
-Source: https://mcap.dev/spec. Whole files are read by rosbags.
+Source: https://mcap.dev/spec. rosbags reads whole files of the profile ros2 alone, so they are read here too.
 """
 
 import heapq
@@ -25,7 +25,9 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+from rosbags.typesys.msg import normalize_msgtype
 
+from longreach.errors import RecordingError
 from longreach.io.formats import MCAP_MAGIC
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
@@ -34,10 +36,13 @@ _RECORD = struct.Struct("<BQ")  # opcode and length
 _STAMPED = struct.Struct("<HIQQ")  # channel, number, time of recording, time of publication [ns]
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time [ns], size and CRC before compression
 _LARGEST_CHUNK = 1 << 20  # [bytes]
-_DEFINITIONS = {
-    "ros2msg": MessageDefinitionFormat.MSG,
-    "ros2idl": MessageDefinitionFormat.IDL,
-    "omgidl": MessageDefinitionFormat.IDL,
+_FOOTER_SIZE = 9 + 20  # [bytes]
+_DEFINITIONS = {  # by the encodings of messages and of their definitions
+    ("cdr", "ros2msg"): MessageDefinitionFormat.MSG,
+    ("cdr", "ros2idl"): MessageDefinitionFormat.IDL,
+    ("cdr", "omgidl"): MessageDefinitionFormat.IDL,
+    ("cdr", ""): MessageDefinitionFormat.NONE,
+    ("ros1", "ros1msg"): MessageDefinitionFormat.MSG,
 }
 
 
@@ -57,8 +62,8 @@ class McapWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = FileIO(path, "x")
         self._chunk_indices = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115
+        self._file = FileIO(path, "x")
         self._size = self._chunks = 0
         self._schemas: dict[str, bytes] = {}  # the records, by the names of types
         self._channels: list[bytes] = []
@@ -70,7 +75,7 @@ class McapWriter:
             self._append(MCAP_MAGIC + _record(_HEADER, _sized(b"ros2"), _sized(b"longreach")))
         except OSError:
             self._file.close()
-            path.unlink(missing_ok=True)
+            self._chunk_indices.close()
             raise
 
     def _clear(self) -> None:
@@ -180,81 +185,116 @@ class McapWriter:
 
 
 class _Part(NamedTuple):
-    """A chunk, or a message outside of chunks: its first time [ns], its opcode, and where it is in the file."""
+    """A chunk, or a message outside of chunks: its first time [ns], its opcode, and where it is in the file.
+
+    channels: those with messages in it, where an index says so.
+    """
 
     first_ns: int
     opcode: int
     start: int
     length: int
+    channels: frozenset[int] = frozenset()
 
 
-class CutMcap:
-    """An MCAP without its end, as rosbags' readers are used: all that is in its whole chunks.
+class McapReader:
+    """An MCAP of ROS messages, as rosbags' readers are used: by its index, or all whole chunks where it has none.
 
-    remark: a sentence that says so.
+    Each channel's own encodings count, whatever the header's profile is: messages of ROS 1 and ROS 2 are read, others
+    are left out. remarks: a sentence each.
 
     Raises:
-        ValueError: it has no message.
+        ValueError: there is no whole chunk.
+        RecordingError: none of its messages is of ROS.
     """
 
     def __init__(self, path: Path) -> None:
+        self.remarks: list[str] = []
         self._file = path.open("rb")
-        self._size = os.fstat(self._file.fileno()).st_size
-        self._schemas: dict[int, tuple[str, MessageDefinition]] = {}
+        try:
+            self._size = os.fstat(self._file.fileno()).st_size
+            if self._file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+                raise ValueError("it does not begin as an MCAP")
+            if not self._read_summary():
+                self._scan()
+            self.connections = self._connections(path)
+        except BaseException:
+            self.close()
+            raise
+
+    def _clear(self) -> None:
+        self._schemas: dict[int, tuple[str, str, str]] = {}  # name, encoding, definition
         self._channels: dict[int, tuple[int, str, str]] = {}  # schema, topic, encoding
         self._counts: dict[int, int] = {}
         self._parts: list[_Part] = []
         self.start_time, self.end_time = 2**63 - 1, 0  # [ns]; the end is not within, as rosbags has it
-        self._damaged = 0
+
+    def _read_summary(self) -> bool:
+        """Take note of what the index at the end of the file says; return whether it says all that is needed."""
+        self._clear()
+        chunks = -1
         try:
-            self._scan()
-            if not self._parts:
-                raise ValueError("no whole chunk is in it")
-        except BaseException:
-            self.close()
-            raise
-        self.connections = [self._connection(channel) for channel in sorted(self._counts)]
-        seconds = 1e-9 * (self.end_time - 1 - self.start_time)
-        damaged = f"; {self._damaged} damaged chunks are left out" if self._damaged else ""
-        self.remark = (
-            f"The recording was cut off, its file has no end: the {seconds:.1f} s up to its last whole chunk are "
-            f"read{damaged}."
-        )
+            end = self._size - _FOOTER_SIZE - len(MCAP_MAGIC)
+            self._file.seek(end)
+            opcode, length, start = struct.unpack("<BQQ", self._file.read(17))
+            self._file.seek(-len(MCAP_MAGIC), os.SEEK_END)
+            self._is_whole = (opcode, length) == (_FOOTER, 20) and self._file.read() == MCAP_MAGIC
+            if not self._is_whole or not 0 < start < end:
+                return False
+            self._file.seek(start)
+            for opcode, body in _split(self._file.read(end - start)):
+                if opcode in (_SCHEMA, _CHANNEL):
+                    self._define(opcode, body)
+                elif opcode == _CHUNK_INDEX:
+                    first, _, at, length, size = struct.unpack_from("<QQQQI", body)
+                    channels = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", body[36 : 36 + size]))
+                    self._parts.append(_Part(first, _CHUNK, at + _RECORD.size, length - _RECORD.size, channels))
+                elif opcode == _STATISTICS:
+                    *_, chunks, first, last = struct.unpack_from("<QHIIIIQQ", body)
+                    self.start_time, self.end_time = first, last + 1
+                    self._counts = {channel: count for channel, count in struct.iter_unpack("<HQ", body[46:]) if count}
+        except (OSError, ValueError, struct.error):
+            self._is_whole = False
+            return False
+        known = all(channel in self._channels and self._has_schema(channel) for channel in self._counts)
+        return known and chunks == len(self._parts) and (chunks > 0) == bool(self._counts)
 
     def _scan(self) -> None:
         """Find all parts that are whole."""
-        start = self._file.read(len(MCAP_MAGIC) + _RECORD.size + 8)
-        if not (start.startswith(MCAP_MAGIC) and start.endswith(_sized(b"ros2"))):
-            raise ValueError("it does not begin as an MCAP of ROS 2")
-        at, taken = len(MCAP_MAGIC), (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
+        self._clear()
+        at, damaged, taken = len(MCAP_MAGIC), 0, (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
         while at + _RECORD.size <= self._size:
             self._file.seek(at)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
             start, at = at + _RECORD.size, at + _RECORD.size + length
             if opcode in (0, _FOOTER, _DATA_END) or at > self._size:
-                return  # 0: blocks of the disk that nothing was written to
+                break  # 0: blocks of the disk that nothing was written to
             if opcode in taken:
                 try:
                     self._take(_Part(0, opcode, start, length))
                 except Exception:  # whatever the decompressors, struct or Unicode say of it
-                    self._damaged += 1
+                    damaged += 1
+        if not self._parts and not self._is_whole:
+            raise ValueError("no whole chunk is in it")
+        left_out = f"{damaged} damaged chunks are left out"
+        if not self._is_whole:
+            end = self.end_time - 1
+            self.remarks.append(
+                f"The recording was cut off, its file has no end: the {1e-9 * (end - self.start_time):.1f} s up to its "
+                f"last whole chunk, which ends at {1e-9 * end:.3f}, are read{f'; {left_out}' if damaged else ''}."
+            )
+        elif damaged:
+            self.remarks.append(f"{left_out}.")
 
     def _take(self, part: _Part) -> None:
         """Take note of what is in a part."""
         stamps = []
         for opcode, body in list(self._records(part)):
-            if opcode == _SCHEMA:
-                name, encoding, text = _texts(body[2:], 3)
-                kind = _DEFINITIONS.get(encoding, MessageDefinitionFormat.NONE)
-                self._schemas[int.from_bytes(body[:2], "little")] = name, MessageDefinition(kind, text)
-            elif opcode == _CHANNEL:
-                channel, schema = struct.unpack_from("<HH", body)
-                topic, encoding = _texts(body[4:], 2)
-                self._channels[channel] = schema, topic, encoding
+            if opcode in (_SCHEMA, _CHANNEL):
+                self._define(opcode, body)
             elif opcode == _MESSAGE:
                 channel, _, stamp, _ = _STAMPED.unpack_from(body)
-                schema, *_ = self._channels.get(channel, (None,))
-                if schema in self._schemas:  # else a damaged chunk says of what it is
+                if channel in self._channels and self._has_schema(channel):  # else a damaged chunk has them
                     self._counts[channel] = self._counts.get(channel, 0) + 1
                     stamps.append(stamp)
         if stamps:
@@ -262,11 +302,39 @@ class CutMcap:
             self.start_time = min(self.start_time, *stamps)
             self.end_time = max(self.end_time, max(stamps) + 1)
 
-    def _connection(self, channel: int) -> Connection:
-        schema, topic, encoding = self._channels[channel]
-        type, definition = self._schemas[schema]
-        about = ConnectionExtRosbag2(encoding, [])
-        return Connection(channel, topic, type, definition, "", self._counts[channel], about, self)
+    def _define(self, opcode: int, body: bytes) -> None:
+        if opcode == _SCHEMA:
+            name, encoding, text = _texts(body[2:], 3)
+            self._schemas[int.from_bytes(body[:2], "little")] = name, encoding, text
+        else:
+            channel, schema = struct.unpack_from("<HH", body)
+            topic, encoding = _texts(body[4:], 2)
+            self._channels[channel] = schema, topic, encoding
+
+    def _has_schema(self, channel: int) -> bool:
+        schema, *_ = self._channels[channel]
+        return schema == 0 or schema in self._schemas
+
+    def _connections(self, path: Path) -> list[Connection]:
+        """Return a connection for each channel of ROS messages."""
+        connections, others = [], []
+        for channel, count in sorted(self._counts.items()):
+            schema, topic, encoding = self._channels[channel]
+            type, language, text = self._schemas.get(schema, ("", "", ""))
+            format = _DEFINITIONS.get((encoding, language)) if type else None
+            if format is None:
+                others.append(f"{topic} ({encoding or 'no encoding'})")
+                continue
+            definition = MessageDefinition(format if text.strip() else MessageDefinitionFormat.NONE, text)
+            about = ConnectionExtRosbag2(encoding, [])
+            type = normalize_msgtype(type.replace("::", "/"))
+            connections.append(Connection(channel, topic, type, definition, "", count, about, self))
+        if others:
+            named = ", ".join(others)
+            if not connections:
+                raise RecordingError(f"{path} holds no messages of ROS, only {named}; record the topics of ROS.")
+            self.remarks.append(f"Topics whose messages are not of ROS are left out: {named}.")
+        return connections
 
     def _records(self, part: _Part) -> Iterator[tuple[int, bytes]]:
         """Yield opcode and body of the records of a part."""
@@ -281,20 +349,14 @@ class CutMcap:
         data = DECOMPRESSORS[compression](body[start:], size)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
             raise ValueError("a chunk is damaged")
-        at = 0
-        while at < size:
-            opcode, length = _RECORD.unpack_from(data, at)
-            at += _RECORD.size + length
-            if at > size:
-                raise ValueError("a record is longer than its chunk")
-            yield opcode, data[at - length : at]
+        yield from _split(data)
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield connection, time of recording [ns] and payload of messages in that time's order."""
         wanted = {connection.id: connection for connection in connections}
         waiting: list[tuple[int, int, int, bytes]] = []  # time, number, channel, payload
         number = 0
-        for part in sorted(self._parts):
+        for part in sorted(part for part in self._parts if not part.channels or part.channels & wanted.keys()):
             while waiting and waiting[0][0] < part.first_ns:
                 stamp, _, channel, payload = heapq.heappop(waiting)
                 yield wanted[channel], stamp, payload
@@ -310,13 +372,24 @@ class CutMcap:
         self._file.close()
 
 
+def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of the records that some data are."""
+    at = 0
+    while at < len(data):
+        opcode, length = _RECORD.unpack_from(data, at)
+        at += _RECORD.size + length
+        if at > len(data):
+            raise ValueError("a record is longer than its chunk")
+        yield opcode, data[at - length : at]
+
+
 def _texts(data: bytes, count: int) -> list[str]:
-    """Return the texts at the start of some data, each behind its length."""
+    """Return the texts at the start of some data, each behind its length; a definition may be no text."""
     texts, at = [], 0
     for _ in range(count):
         (length,) = struct.unpack_from("<I", data, at)
         at += 4 + length
         if at > len(data):
             raise ValueError("a text is longer than its record")
-        texts.append(data[at - length : at].decode())
+        texts.append(data[at - length : at].decode(errors="replace"))
     return texts

@@ -88,8 +88,8 @@ def imu(types: Types, stamp: float, reading: Imu) -> Any:
         orientation_covariance=_covariance_or_mark(None, False, 9),
         angular_velocity=vector(*reading.angular_velocity.tolist()),
         angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(*reading.acceleration.tolist()),
-        linear_acceleration_covariance=np.zeros(9),
+        linear_acceleration=vector(*(np.zeros(3) if reading.acceleration is None else reading.acceleration).tolist()),
+        linear_acceleration_covariance=_covariance_or_mark(None, reading.acceleration is not None, 9),
     )
 
 
@@ -177,6 +177,19 @@ def quaternion_xyzw(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     angle = float(np.linalg.norm(w))
     axis = w / angle if angle > 0 else np.zeros(3)
     return np.append(np.sin(angle / 2) * axis, np.cos(angle / 2))
+
+
+def rotation_matrix(xyzw: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a quaternion, which need not be of unit length; of a zero one the identity."""
+    size = np.linalg.norm(xyzw)
+    x, y, z, w = xyzw / size if size > 0 else np.array([0.0, 0.0, 0.0, 1.0])
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def _turn(types: Types, xyzw: np.ndarray) -> Any:

@@ -1,7 +1,7 @@
 """Our records from standard ROS messages.
 
-A function here takes a message and returns what makes the record once its stamp is known, or None where the message
-says nothing that can be used (not a number, or marked as not measured).
+A function here takes a message and returns what makes the record once its stamp is known; or why the message cannot be
+used, as the end of a sentence that starts with "it"; or None where it is about something else.
 """
 
 import math
@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from longreach.io.messages import NOT_MEASURED, PLANAR
+from longreach.geometry import se2, se3
+from longreach.io.messages import NOT_MEASURED, PLANAR, rotation_matrix
 from longreach.measurement import Imu, JointState, LaserScan, Odometry, PoseMeasurement, WheelSpeeds, WheelTicks, Wrench
 from longreach.robot.description import Encoder, Lidar, RobotDescription
 
 Make = Callable[..., Any]
+Read = Make | str
 
 # Of a fix whose message says none; ours. A motion capture is better, but where its markers sit is known to about this.
 FIX_DEVIATIONS = (0.01, 0.01, 0.01)  # [m, m, rad]
@@ -27,61 +29,93 @@ def frame_name(name: str) -> str:
     return name.lstrip("/")
 
 
-def laser_scan(message: Any, lidar: Lidar | None) -> Make | None:
+def laser_scan(message: Any, lidar: Lidar | None) -> Read:
     """Read a sensor_msgs/LaserScan; where it leaves its angles or ranges at 0, those of the description stand in."""
     lidar = lidar or Lidar()
     angle_min, increment = message.angle_min, message.angle_increment
     if not increment and lidar.angle_increment is not None and lidar.angle_min is not None:
         angle_min, increment = lidar.angle_min, lidar.angle_increment
+    if not (math.isfinite(angle_min) and math.isfinite(increment)):
+        return f"has the angle_min {angle_min:g} and the angle_increment {increment:g}"
+    if not increment or not len(message.ranges):
+        return "has no ranges" if increment else "has the angle_increment 0"
+    range_min, range_max = (one if math.isfinite(one) else 0.0 for one in (message.range_min, message.range_max))
     return partial(
         LaserScan,
         ranges=message.ranges,
         angle_min=float(angle_min),
         angle_increment=float(increment),
-        range_min=float(message.range_min or lidar.range_min or 0.0),
-        range_max=float(message.range_max or lidar.range_max or math.inf),
-        time_increment=float(message.time_increment),
+        range_min=float(range_min or lidar.range_min or 0.0),
+        range_max=float((range_max > range_min and range_max) or lidar.range_max or math.inf),
+        time_increment=float(message.time_increment if math.isfinite(message.time_increment) else 0.0),
         frame=frame_name(message.header.frame_id) or lidar.frame or "laser",
     )
 
 
-def imu(message: Any) -> Make | None:
-    """Read a sensor_msgs/Imu."""
-    if NOT_MEASURED in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0]):
-        return None
+def imu(message: Any) -> Read:
+    """Read a sensor_msgs/Imu; an acceleration that is marked as not measured, or not finite, is None."""
     w, a = message.angular_velocity, message.linear_acceleration
-    if not math.isfinite(w.x + w.y + w.z + a.x + a.y + a.z):
-        return None
-    frame = frame_name(message.header.frame_id) or "imu"
-    return partial(Imu, angular_velocity=np.array([w.x, w.y, w.z]), acceleration=np.array([a.x, a.y, a.z]), frame=frame)
+    if message.angular_velocity_covariance[0] == NOT_MEASURED:
+        return "marks its angular velocity as not measured"
+    if not math.isfinite(w.x + w.y + w.z):
+        return "has an angular velocity that is not finite"
+    felt = message.linear_acceleration_covariance[0] != NOT_MEASURED and math.isfinite(a.x + a.y + a.z)
+    return partial(
+        Imu,
+        angular_velocity=np.array([w.x, w.y, w.z]),
+        acceleration=np.array([a.x, a.y, a.z]) if felt else None,
+        frame=frame_name(message.header.frame_id) or "imu",
+    )
 
 
-def wrench(message: Any) -> Make | None:
+def wrench(message: Any) -> Read:
     """Read a geometry_msgs/WrenchStamped."""
     f, t = message.wrench.force, message.wrench.torque
     if not math.isfinite(f.x + f.y + f.z + t.x + t.y + t.z):
-        return None
+        return "is not finite"
     frame = frame_name(message.header.frame_id) or "wrench"
     return partial(Wrench, force=np.array([f.x, f.y, f.z]), torque=np.array([t.x, t.y, t.z]), frame=frame)
 
 
-def odometry(message: Any) -> Make | None:
-    """Read a nav_msgs/Odometry; a pose or twist whose covariance starts with -1 was not measured."""
+def odometry(message: Any, T_base_child: Float[np.ndarray, "4 4"] | None = None) -> Read:
+    """Read a nav_msgs/Odometry; a pose or twist whose covariance starts with -1 was not measured.
+
+    T_base_child: where the frame that it speaks of is mounted in the base, None: it is the base. Then the base's own
+    motion is returned; its covariance is not known.
+    """
     pose, twist = None, None
     if message.pose.covariance[0] != NOT_MEASURED:
-        pose = _with_heading(planar_pose(message.pose.pose.position, message.pose.pose.orientation))
+        given = message.pose.pose
+        if T_base_child is None:
+            pose = _with_heading(planar_pose(given.position, given.orientation))
+        else:
+            pose = _of_base(given, T_base_child)
     if message.twist.covariance[0] != NOT_MEASURED:
         v, w = message.twist.twist.linear, message.twist.twist.angular
-        twist = np.array([v.x, v.y, w.z]) if math.isfinite(v.x + v.y + w.z) else None
+        spatial = np.array([v.x, v.y, v.z, w.x, w.y, w.z])
+        if T_base_child is not None:
+            spatial = se3.adjoint(T_base_child) @ spatial
+        twist = spatial[[0, 1, 5]] if math.isfinite(spatial.sum()) else None
     if pose is None and twist is None:
-        return None
+        return "has neither a pose nor a twist that is measured and finite"
+    known = T_base_child is None
     return partial(
         Odometry,
         pose=pose,
         twist=twist,
-        pose_covariance=None if pose is None else _known(message.pose.covariance),
-        twist_covariance=None if twist is None else _known(message.twist.covariance),
+        pose_covariance=_known(message.pose.covariance) if known and pose is not None else None,
+        twist_covariance=_known(message.twist.covariance) if known and twist is not None else None,
     )
+
+
+def _of_base(pose: Any, T_base_child: np.ndarray) -> np.ndarray | None:
+    """Return the planar pose of the base, in the frame where it began at the child's pose carried along."""
+    p, q = pose.position, pose.orientation
+    position, xyzw = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    if not (np.isfinite(position).all() and np.isfinite(xyzw).all() and np.abs(xyzw).max() > 1e-6):
+        return None
+    T = se3.from_rotation_translation(rotation_matrix(xyzw), position)
+    return se2.from_se3(T_base_child @ T @ se3.inverse(T_base_child))
 
 
 def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
@@ -94,9 +128,16 @@ def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
     values = message.velocity if signal == "speed" else message.position
     make = partial(WheelSpeeds) if signal == "speed" else partial(WheelTicks)
     key = "speeds" if signal == "speed" else "ticks"
+    steered = robot.base.kind == "ackermann"  # its last number is always a position
     if set(names) <= set(message.name) and len(values) == len(message.name):
-        return True, partial(make, **{key: values[[message.name.index(name) for name in names]]})
-    if len(values) == len(names):
+        where = [message.name.index(name) for name in names]
+        values = values[where]
+        if steered:
+            if len(message.position) != len(message.name):
+                return None
+            values[-1] = message.position[where[-1]]
+        return True, partial(make, **{key: values})
+    if len(values) == len(names) and not steered:
         return False, partial(make, **{key: values})
     return None
 

@@ -12,7 +12,7 @@ from longreach.geometry import se3, so3
 from longreach.robot.dh import DhRow, joints_of
 from longreach.robot.joint import Joint
 from longreach.robot.kinematics import Kinematics
-from longreach.robot.urdf import read_urdf
+from longreach.robot.urdf import outward, read_urdf
 
 _ROUNDING = 1e-15  # cos π/2 is 6e-17; exact zeros and ones let the kernel leave products out
 
@@ -95,19 +95,19 @@ class KinematicChain(Kinematics):
         Raises:
             ModelError: it cannot be read (`read_urdf`), or no end is given and there is more than one.
         """
-        urdf = read_urdf(path)
+        urdf = read_urdf(path, end)
         return cls.from_joints(urdf.joints, root or urdf.root, end or only_end(urdf.joints, urdf.root))
 
     @classmethod
     def from_joints(cls, joints: Iterable[Joint], root: str, end: str) -> "KinematicChain":
         """Return the chain of the joints between two links, with every frame that is fixed to one of its links."""
-        outward = _outward(list(joints), root)
-        known = [root, *(joint.child for joint in outward)]
+        beyond = outward(list(joints), root)
+        known = [root, *(joint.child for joint in beyond)]
         if end not in known:
             raise ModelError(f"There is no frame {end!r} beyond {root}; there are {', '.join(known)}.")
-        path = _path(outward, root, end)
+        path = _path(beyond, root, end)
         T, moving, before, frames = np.eye(4), [], [], {root: Frame(0, _frozen(np.eye(4)))}
-        for joint in outward:
+        for joint in beyond:
             if joint.parent not in frames or (joint.moves and joint not in path):
                 continue  # what a joint outside the chain moves is no frame of the chain
             T = frames[joint.parent].T @ joint.origin
@@ -154,16 +154,6 @@ class KinematicChain(Kinematics):
         return se3.inverse(self.ending(a).forward(q)) @ self.ending(b).forward(q)
 
 
-def _outward(joints: Sequence[Joint], root: str) -> list[Joint]:
-    """Return the joints beyond a link, each after the one that carries it."""
-    ordered, reached = [], [root]
-    for link in reached:  # grows while we walk
-        below = [joint for joint in joints if joint.parent == link]
-        ordered += below
-        reached += [joint.child for joint in below]
-    return ordered
-
-
 def _path(joints: Sequence[Joint], root: str, end: str) -> list[Joint]:
     """Return the joints from one link to another, in order."""
     carried = {joint.child: joint for joint in joints}
@@ -172,10 +162,18 @@ def _path(joints: Sequence[Joint], root: str, end: str) -> list[Joint]:
         path.insert(0, carried[end])
         end = carried[end].parent
     for joint in path:
+        if joint.fault:
+            raise ModelError(joint.fault)
         if joint.kind in ("planar", "floating"):
-            raise ModelError(f"Joint {joint.name} is {joint.kind}; a chain's joints are revolute, prismatic or fixed.")
+            raise ModelError(
+                f"Joint {joint.name} is {joint.kind}; a chain's joints are revolute, continuous, prismatic or fixed. "
+                "Make it fixed: a mobile base moves by x, y, θ anyway."
+            )
         if joint.mimic is not None:
-            raise ModelError(f"Joint {joint.name} follows {joint.mimic} and is no joint of its own; end before it.")
+            raise ModelError(
+                f"Joint {joint.name} mimics {joint.mimic} and is no joint of its own; end the chain before it, or make "
+                "it fixed."
+            )
     return path
 
 

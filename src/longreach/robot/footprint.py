@@ -9,7 +9,6 @@ from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.robot.urdf import Shape
 
 _UNKNOWN = (0.3, 0.25)  # half length and width of a base that nobody describes [m]; of usual indoor bases
-_TYRE = 0.05  # of a wheel beyond its middle, sideways [m]; ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,28 +38,28 @@ class Footprint:
 
 
 def footprint_of(robot: MobileManipulator) -> Footprint:
-    """Return a robot's footprint from its URDF's collision shapes, else from its wheels."""
-    if robot.urdf is None:
-        base = robot.description.base
-        x, y = _UNKNOWN
-        if base is not None and base.kind == "mecanum":
-            x, y = base.half_length + base.wheel_radius, base.half_width + _TYRE
-        elif base is not None:  # round, around its wheels
-            x = y = 0.5 * base.track_width + _TYRE
-        return Footprint(robot, np.array([-x, x, -y, y]), ())
-    still = np.zeros(robot.dof)
+    """Return a robot's footprint: its URDF's primitive collision shapes and its wheels. Meshes do not count."""
+    still, shapes = np.zeros(robot.dof), {} if robot.urdf is None else robot.urdf.links
     corners: list[np.ndarray] = []
     links = []
     for name, frame in robot.chain.frames.items():
-        for shape in robot.urdf.links[name].collisions if name in robot.urdf.links else ():
+        for shape in shapes[name].collisions if name in shapes else ():
             if shape.kind == "mesh":
-                continue  # a primitive shape beside it is what collides
+                continue
             a, b, radius = capsule_of(shape)
             if frame.joints > robot.base.stop:
                 links.append((name, a, b, radius))
                 continue
             T = robot.frame(name, still)
             corners += list((_corners(shape) @ T[:3, :3].T + T[:3, 3])[:, :2])
+    base = robot.description.base
+    if base is not None:
+        x, y = base.half_size
+        if corners and len(base.wheel_names) == 2:
+            x = base.wheel_radius  # the shapes say the rest
+    else:
+        x, y = (0.0, 0.0) if corners else _UNKNOWN
+    corners += [np.array([-x, -y]), np.array([x, y])]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     return Footprint(robot, np.array([low[0], high[0], low[1], high[1]]), tuple(links))
 

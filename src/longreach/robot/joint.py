@@ -39,7 +39,10 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A child link that stands in its parent link at `origin` and moves along or about `axis`, seen from there."""
+    """A child link that stands in its parent link at `origin` and moves along or about `axis`, seen from there.
+
+    mimic: the joint that it follows. fault: why it can be no part of a chain, a sentence, or nothing.
+    """
 
     name: str
     kind: Kind
@@ -49,11 +52,17 @@ class Joint:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     limits: Limits = Limits()
     mimic: str | None = None
+    fault: str = ""
 
     @property
     def moves(self) -> bool:
-        """Whether a number of q belongs to it."""
-        return self.kind != "fixed"
+        """Whether a number of q belongs to it; one with a fault may move."""
+        return self.kind != "fixed" or bool(self.fault)
+
+    @property
+    def driven(self) -> bool:
+        """Whether it turns or slides, as a motor can make it."""
+        return self.kind in ("revolute", "continuous", "prismatic") and not self.fault
 
     def at(self, position: float) -> Float[np.ndarray, "4 4"]:
         """Return T_parent_child at a position [rad or m]."""

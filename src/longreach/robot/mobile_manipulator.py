@@ -1,6 +1,8 @@
 """Base and arm as one redundant chain: q = [x, y, θ, q1..qn], base first."""
 
+from collections.abc import Container
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from longreach.robot.urdf import Urdf, read_urdf
 
 WORLD = "world"
 _BASE_LINK = "base_link"
+_OURS = ("map", "odom", WORLD, "base_x_link", "base_y_link")  # frames a URDF's link of that name is not
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +131,16 @@ class MobileManipulator(Kinematics):
         arm, urdf = description.arm, None
         root, end, joints = _BASE_LINK, _BASE_LINK, []
         if arm is not None and arm.urdf is not None:
-            urdf = read_urdf(folder / arm.urdf)
+            urdf = read_urdf(folder / arm.urdf, arm.end)
+            names = _free_names(urdf, description.bolted)
+            urdf = urdf.renamed(names)
             root, joints = urdf.root, list(urdf.joints)
-            end = arm.end or only_end(joints, root)
+            end = names.get(arm.end or "", arm.end) or only_end(joints, root)
         elif arm is not None and arm.dh is not None:
             joints = joints_of(arm.dh, root)
             end = arm.end or joints[-1].child
         if not description.bolted:
-            joints = [*_planar(description, root), *joints]
+            joints = [*_planar(description, root, {joint.name for joint in joints}), *joints]
         chain = KinematicChain.from_joints(joints, root if description.bolted else WORLD, end)
         moving = len(chain.joint_names) - (0 if description.bolted else 3)
         if arm is not None and arm.home is not None and len(arm.home) != moving:
@@ -148,20 +153,48 @@ class MobileManipulator(Kinematics):
         return cls(description, chain.ending(description.tool or end), urdf)
 
 
+def turned_like(robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> MobileManipulator:
+    """Return the robot with its heading's limits moved by the whole turns that it has made at q: it has no stops."""
+    heading = float(q[2]) if robot.base.stop and len(q) > 2 else 0.0
+    turns = round(heading / (2 * np.pi)) if np.isfinite(heading) else 0
+    return robot if turns == 0 else _turned(robot, turns)
+
+
+@lru_cache(maxsize=64)
+def _turned(robot: MobileManipulator, turns: int) -> MobileManipulator:
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    lower[2] += 2 * np.pi * turns
+    upper[2] += 2 * np.pi * turns
+    return robot.with_limits(lower, upper)
+
+
 def description_of(robot: RobotDescription | MobileManipulator) -> RobotDescription:
     """Return what an estimation has to know of a robot, whether or not its arm is loaded."""
     return robot.description if isinstance(robot, MobileManipulator) else robot
 
 
-def _planar(description: RobotDescription, root: str) -> list[Joint]:
+def _planar(description: RobotDescription, root: str, taken: Container[str]) -> list[Joint]:
     """Return the joints x, y, θ between the world and the base, rows 1 to 4 of Table B.1."""
     reach, speed, hardest = description.reach, description.velocity_limits, description.acceleration_limits
     limits = [Limits(-reach[i], reach[i], speed[i], hardest[i]) for i in range(3)]
     return [
-        Joint("base_x", "prismatic", WORLD, "base_x_link", axis=(1.0, 0.0, 0.0), limits=limits[0]),
-        Joint("base_y", "prismatic", "base_x_link", "base_y_link", axis=(0.0, 1.0, 0.0), limits=limits[1]),
-        Joint("base_theta", "revolute", "base_y_link", root, limits=limits[2]),
+        Joint(_free("base_x", taken), "prismatic", WORLD, "base_x_link", axis=(1.0, 0.0, 0.0), limits=limits[0]),
+        Joint(
+            _free("base_y", taken), "prismatic", "base_x_link", "base_y_link", axis=(0.0, 1.0, 0.0), limits=limits[1]
+        ),
+        Joint(_free("base_theta", taken), "revolute", "base_y_link", root, limits=limits[2]),
     ]
+
+
+def _free_names(urdf: Urdf, bolted: bool) -> dict[str, str]:
+    """Return other names for a URDF's links that are called like frames of ours; a bolted arm's world is its own."""
+    return {link: _free(link, urdf.links) for link in _OURS if link in urdf.links and not (bolted and link == WORLD)}
+
+
+def _free(name: str, taken: Container[str]) -> str:
+    while name in taken:
+        name = f"robot_{name}"
+    return name
 
 
 def _accelerated(chain: KinematicChain, accelerations: tuple[float, ...]) -> KinematicChain:

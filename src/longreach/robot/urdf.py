@@ -5,10 +5,11 @@ Source: the URDF specification of ROS (wiki.ros.org/urdf/XML).
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
+from xml.parsers import expat
 
 import numpy as np
 from jaxtyping import Float
@@ -62,34 +63,51 @@ class Urdf:
     links: dict[str, Link]
     joints: tuple[Joint, ...]
 
+    def renamed(self, names: Mapping[str, str]) -> "Urdf":
+        """Return the same robot with other names for some of its links."""
 
-def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file.
+        def new(link: str) -> str:
+            return names.get(link, link)
+
+        links = {new(link.name): replace(link, name=new(link.name)) for link in self.links.values()}
+        joints = (replace(joint, parent=new(joint.parent), child=new(joint.child)) for joint in self.joints)
+        return Urdf(self.name, new(self.root), links, tuple(joints))
+
+
+def read_urdf(path: Path, end: str | None = None) -> Urdf:
+    """Read a URDF file; where it holds several trees, the one with the link `end`.
+
+    What URDF gives no meaning is ignored: elements of other tools, the axis of a fixed joint, limits of a continuous
+    one; so is a visual that cannot be read. What is wrong with one joint (its kind, axis, limits, origin) is its
+    `fault`, which matters only in a chain.
 
     Raises:
-        ModelError: it is not there, is no URDF, has a joint of an unknown kind, limits upside down, a number that is
-            none, or its joints do not make one tree.
+        ModelError: it is not there, is no URDF, or its joints do not make a tree.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        content = path.read_bytes()
+    except OSError as error:
         raise ModelError(f"{path} cannot be read: {error}.") from error
     try:
-        return parse_urdf(text)
+        urdf = parse_urdf(content, end)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
+    joints = (replace(joint, fault=f"{path}: {joint.fault}") if joint.fault else joint for joint in urdf.joints)
+    return replace(urdf, joints=tuple(joints))
 
 
-def parse_urdf(text: str) -> Urdf:
-    """Read URDF from a string; see `read_urdf`."""
-    try:
-        robot = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ModelError(f"This is not XML ({error}).") from error
+def parse_urdf(content: str | bytes, end: str | None = None) -> Urdf:
+    """Read URDF from a string, or from the bytes of a file; see `read_urdf`."""
+    robot = _parsed(content)
     if robot.tag != "robot":
         raise ModelError(f"A URDF's outermost element is <robot>, this one's is <{robot.tag}>.")
-    if any("xacro" in str(element.tag) for element in robot.iter()):
-        raise ModelError("This is xacro, not URDF; expand it first with the xacro program.")
+    leftover = _xacro_in(robot)
+    if leftover:
+        raise ModelError(
+            f"This is xacro, not URDF ({leftover}); expand it first with the xacro program: xacro IN > OUT.urdf."
+        )
+    if robot.find("robot") is not None:
+        raise ModelError("A <robot> stands inside of another one; put each into a file of its own.")
     colours = {m.get("name", ""): colour for m in robot.findall("material") if (colour := _colour(m)) is not None}
     links = {}
     for element in robot.findall("link"):
@@ -97,11 +115,44 @@ def parse_urdf(text: str) -> Urdf:
         if link.name in links:
             raise ModelError(f"There are two links named {link.name}; a name is given once.")
         links[link.name] = link
-    root, joints = _tree(list(links), [_joint(element) for element in robot.findall("joint")])
-    return Urdf(robot.get("name", "robot"), root, links, tuple(joints))
+    root, joints = _tree(list(links), [_joint(element) for element in robot.findall("joint")], end)
+    kept = {root, *(joint.child for joint in joints)}
+    return Urdf(robot.get("name", "robot"), root, {n: links[n] for n in links if n in kept}, tuple(joints))
 
 
-def _tree(links: Sequence[str], joints: Sequence[Joint]) -> tuple[str, list[Joint]]:
+def _parsed(content: str | bytes) -> ElementTree.Element:
+    """Return the outermost element. Namespaces are not looked up: a prefix that nobody declared is no fault."""
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    content = content.lstrip("\ufeff \t\r\n") if isinstance(content, str) else content.lstrip()
+    try:
+        parser.Parse(content, True)
+        return builder.close()
+    except expat.ExpatError as error:
+        if isinstance(content, bytes) and not _is_utf8(content):
+            return _parsed(content.decode("latin-1"))  # an old editor's comments; names and numbers are ASCII
+        raise ModelError(f"This is not XML ({error}).") from error
+
+
+def _is_utf8(content: bytes) -> bool:
+    try:
+        content.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _xacro_in(robot: ElementTree.Element) -> str:
+    """Return what xacro would have replaced, or nothing."""
+    for element in robot.iter():
+        if element.tag.startswith("xacro:"):
+            return f"<{element.tag}>"
+    described = [*robot.iter("link"), *robot.iter("joint")]
+    values = (value for part in described for element in part.iter() for value in element.attrib.values())
+    return next((value for value in values if "${" in value or "$(" in value), "")
+
+
+def _tree(links: Sequence[str], joints: Sequence[Joint], end: str | None) -> tuple[str, list[Joint]]:
     """Return the root and the joints in the order from it outward, having seen that they make one tree."""
     known, carried, names = set(links), {}, set()
     for joint in joints:
@@ -118,24 +169,42 @@ def _tree(links: Sequence[str], joints: Sequence[Joint]) -> tuple[str, list[Join
         names.add(joint.name)
         carried[joint.child] = joint
     roots = [link for link in links if link not in carried]
+    if not links:
+        raise ModelError("There is no <link> in it; a robot has one at least.")
     if not roots:
-        raise ModelError("Every link hangs on a joint: a loop (or no link at all), where only a tree can be read.")
-    ordered, reached = [], [roots[0]]
-    for link in reached:  # grows while we walk
-        below = [joint for joint in joints if joint.parent == link]
-        ordered += below
-        reached += [joint.child for joint in below]
-    if len(roots) > 1:
-        raise ModelError(
-            f"The links {', '.join(roots)} hang on no joint; a tree has one root, so join the others to it."
-        )
+        raise ModelError("Every link hangs on a joint: a loop, where only a tree can be read; cut it.")
+    trees = {root: outward(joints, root) for root in roots}
+    ordered = {joint for tree in trees.values() for joint in tree}
     if len(ordered) < len(joints):
         lost = next(joint for joint in joints if joint not in ordered)
         raise ModelError(f"Joint {lost.name} is in a loop, where only a tree can be read; cut it.")
-    return roots[0], ordered
+    # A link without a joint is what many files have as their world.
+    meant = [root for root in roots if end == root or any(joint.child == end for joint in trees[root])]
+    meant = meant or [root for root in roots if trees[root]] or roots
+    if len(meant) > 1:
+        raise ModelError(
+            f"The links {', '.join(meant)} hang on no joint, so there are {len(meant)} trees; say which link ends the "
+            "chain (end), and its tree is taken, or join them."
+        )
+    return meant[0], trees[meant[0]]
 
 
-def _numbers(element: ElementTree.Element, key: str, default: str | None, count: int = 1) -> list[float]:
+def outward(joints: Sequence[Joint], root: str) -> list[Joint]:
+    """Return the joints beyond a link, each after the one that carries it; one in a loop is taken once."""
+    below: dict[str, list[Joint]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint)
+    ordered, reached = [], [root]
+    for link in reached:  # grows while we walk
+        beyond = below.pop(link, [])
+        ordered += beyond
+        reached += [joint.child for joint in beyond]
+    return ordered
+
+
+def _numbers(
+    element: ElementTree.Element, key: str, default: str | None, count: int = 1, largest: float = 1e300
+) -> list[float]:
     text = element.get(key, default)
     what = f"{key} of <{element.tag}>"
     if text is None:
@@ -144,7 +213,7 @@ def _numbers(element: ElementTree.Element, key: str, default: str | None, count:
         values = [float(part) for part in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    if len(values) != count or not all(abs(value) <= largest for value in values):
         raise ModelError(f"The {what} is {text!r}; expected {count} finite number{'s' * (count > 1)}.")
     return values
 
@@ -166,23 +235,29 @@ def _origin(parent: ElementTree.Element) -> np.ndarray:
 
 def _joint(element: ElementTree.Element) -> Joint:
     name, kinds = _name(element), {kind: kind for kind in get_args(Kind)}
-    kind = kinds.get(element.get("type"))
-    if kind is None:
-        raise ModelError(f"Joint {name} is of the type {element.get('type')!r}; there are {', '.join(kinds)}.")
     parent, child = (_linked(element, tag) for tag in ("parent", "child"))
     if not (parent and child):
         raise ModelError(f"Joint {name} must name a parent and a child link.")
+    kind, mimic = kinds.get(element.get("type")), element.find("mimic")
+    origin, axis, limits, fault = np.eye(4), (1.0, 0.0, 0.0), Limits(), ""
     try:
-        line, mimic = element.find("axis"), element.find("mimic")
-        axis = np.array([1.0, 0.0, 0.0] if line is None else _numbers(line, "xyz", "1 0 0", 3))
-        if not np.linalg.norm(axis) > 0:
-            raise ModelError("The axis has no direction.")
-        x, y, z = (axis / np.linalg.norm(axis)).tolist()
-        limits = _limits(element.find("limit"), kind)
-        follows = None if mimic is None else mimic.get("joint")
-        return Joint(name, kind, parent, child, _origin(element), (x, y, z), limits, follows)
+        origin = _origin(element)
+        if kind is None:
+            raise ModelError(f"It is of the type {element.get('type')!r}; there are {', '.join(kinds)}.")
+        if kind in ("revolute", "continuous", "prismatic"):
+            axis, limits = _axis(element.find("axis")), _limits(element.find("limit"), kind)
     except ModelError as error:
-        raise ModelError(f"Joint {name}: {error}") from error
+        fault = f"Joint {name}: {error}"
+    follows = None if mimic is None or kind == "fixed" else mimic.get("joint")
+    return Joint(name, kind or "floating", parent, child, origin, axis, limits, follows, fault)
+
+
+def _axis(element: ElementTree.Element | None) -> tuple[float, float, float]:
+    axis = np.array([1.0, 0.0, 0.0] if element is None else _numbers(element, "xyz", "1 0 0", 3))
+    if not np.linalg.norm(axis) > 0:
+        raise ModelError("The axis has no direction.")
+    x, y, z = (axis / np.linalg.norm(axis)).tolist()
+    return x, y, z
 
 
 def _linked(joint: ElementTree.Element, tag: str) -> str:
@@ -194,17 +269,26 @@ def _limits(element: ElementTree.Element | None, kind: str) -> Limits:
     """Return the limits; a speed or an effort of 0 is how many files say that they do not know it."""
     if element is None:
         return Limits()
-    (velocity,), (effort,) = _numbers(element, "velocity", "0"), _numbers(element, "effort", "0")
-    lower, upper = -math.inf, math.inf
-    if kind in ("revolute", "prismatic"):
-        (lower,), (upper,) = _numbers(element, "lower", "0"), _numbers(element, "upper", "0")
-    return Limits(lower, upper, velocity=velocity or math.inf, effort=effort or math.inf)
+    known = {}
+    for key in ("velocity", "effort"):
+        known[key] = _numbers(element, key, "0", largest=math.inf)[0] or math.inf
+        if known[key] < 0:
+            raise ModelError(f"Its {key} limit is {known[key]:g}; give one above 0, or 0 where it is not known.")
+    if kind == "continuous":
+        return Limits(**known)
+    (lower,), (upper,) = (_numbers(element, key, "0", largest=math.inf) for key in ("lower", "upper"))
+    if lower == upper:
+        raise ModelError(
+            f"Its lower and upper limit are both {lower:g} (0 where none is given), so it cannot move; give "
+            "its limits, or make it fixed or continuous."
+        )
+    return Limits(lower, upper, **known)
 
 
 def _link(element: ElementTree.Element, colours: dict[str, tuple[float, float, float, float]]) -> Link:
     name = _name(element)
     try:
-        visuals = tuple(_shape(shape, colours) for shape in element.findall("visual"))
+        visuals = tuple(seen for shape in element.findall("visual") if (seen := _visual(shape, colours)) is not None)
         collisions = tuple(_shape(shape, colours) for shape in element.findall("collision"))
         return Link(name, visuals, collisions, _inertial(element.find("inertial")))
     except ModelError as error:
@@ -215,8 +299,18 @@ def _colour(material: ElementTree.Element) -> tuple[float, float, float, float] 
     element = material.find("color")
     if element is None:
         return None
-    r, g, b, a = _numbers(element, "rgba", None, 4)
+    try:
+        r, g, b, a = _numbers(element, "rgba", None, 4)
+    except ModelError:
+        return None
     return r, g, b, a
+
+
+def _visual(element: ElementTree.Element, colours: dict[str, tuple[float, float, float, float]]) -> Shape | None:
+    try:
+        return _shape(element, colours)
+    except ModelError:
+        return None
 
 
 def _shape(element: ElementTree.Element, colours: dict[str, tuple[float, float, float, float]]) -> Shape:

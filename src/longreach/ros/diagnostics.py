@@ -1,17 +1,20 @@
 """What /diagnostics says of an estimate: by source how often it speaks, what became of it, and how far off it is."""
 
+import logging
 import math
 import time
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from longreach.app import plausibility
 from longreach.estimation.planar.state import Correction
 from longreach.io import messages
+from longreach.localization.localizer import Output
 from longreach.ros import wire
 from longreach.ros.sensors import Sensors
 
+_LOG = logging.getLogger("longreach.ros")
 _PERIOD = 1.0  # [s]; what diagnostic_updater does
 _FAR = 3.0  # of the mean NIS a degree of freedom, which is 1 where everything is as noisy as it says; ours
 _OK, _WARN, _STALE = 0, 1, 3
@@ -43,10 +46,13 @@ class Diagnostics:
         self._sensors, self._since = sensors, time.monotonic()
         self._publisher = wire.Publisher("/diagnostics", _ARRAY)
         self._tallies: defaultdict[str, Tally] = defaultdict(Tally)
+        self._recent = plausibility.Recent()
 
-    def take(self, corrections: Sequence[Correction]) -> None:
+    def take(self, output: Output, mount_is_known: bool = True) -> None:
         """Count what became of measurements, and tell where it is time to."""
-        for correction in corrections:
+        if self._recent.take(output.matches, output.events, mount_is_known) and self._recent.remark:
+            _LOG.warning(self._recent.remark)
+        for correction in output.corrections:
             if correction.dof or correction.status == "refused":
                 self._tallies[correction.source].take(correction)
         elapsed = time.monotonic() - self._since
@@ -55,6 +61,8 @@ class Diagnostics:
         types = wire.message_types()
         statuses = [_status(types, name, tally, elapsed) for name, tally in self._tallies.items()]
         statuses.append(_unread(types, self._sensors))
+        level, sentence = (_WARN, self._recent.remark) if self._recent.remark else (_OK, "agree with each other")
+        statuses.append(status(types, level, "longreach: sources", sentence, {}))
         self._publisher.send(types[_ARRAY](messages.header(types, wire.now(), ""), statuses))
         self._tallies = defaultdict(
             Tally, {name: Tally() for name in self._tallies}

@@ -70,7 +70,7 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
             out.settled(output.rows)
             if estimator.where is not None and (before is None or estimator.where.stamp > before.stamp):
                 out.filtered(estimator.where)
-            health.take(output.corrections)
+            health.take(output)
 
 
 class Estimator:

@@ -8,9 +8,9 @@ from typing import Any, Literal, NamedTuple
 
 from longreach.control.hardware import Readings
 from longreach.errors import ConfigError
-from longreach.io import records
+from longreach.io import clocks, records
 from longreach.io.bag_topics import JOINT_STATE, ODOMETRY
-from longreach.io.records import Make
+from longreach.io.records import Read
 from longreach.measurement import PoseMeasurement
 from longreach.robot.description import RobotDescription
 from longreach.ros import wire
@@ -64,7 +64,8 @@ class Sensors:
         self._robot, self._lock, self._named = robot, threading.Lock(), False
         self._waiting: dict[str, list[Any]] = {role: [] for role in roles}
         self._newest: dict[str, float] = {}
-        readers: dict[str, Callable[[Any], Make | None]] = {
+        self._offsets: dict[str, float] = {}
+        readers: dict[str, Callable[[Any], Read | None]] = {
             "wheels": self._wheels,
             "lidar": lambda message: records.laser_scan(message, robot.lidar),
             "imu": records.imu,
@@ -108,14 +109,20 @@ class Sensors:
         for subscription in self._subscriptions:
             subscription.unregister()
 
-    def _take(self, role: str, read: Callable[[Any], Make | None], message: Any) -> None:
+    def _take(self, role: Role, read: Callable[[Any], Read | None], message: Any) -> None:
         stamp = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) / 10**9
         if stamp == 0.0:
             return self._no(role, f"A message of {role} has no stamp; let its driver say when it measured.")
         make = read(message)
-        if make is None:
-            shared = role in ("wheels", "joints")  # several nodes share a topic, each tells of its own joints
-            return None if shared else self._no(role, f"A message of {role} has numbers that are not finite.")
+        if make is None:  # several nodes share a topic, each with its own joints
+            return None
+        if isinstance(make, str):
+            return self._no(role, f"A message of {self.topic(role)} {make}.")
+        offset = self._offsets.setdefault(role, stamp - wire.now())
+        usual = clocks.common_offset(self._offsets)
+        if clocks.is_another(offset, usual):
+            off = f"its stamps are {offset - usual:.3f} s off those of the other topics."
+            return self._no(role, f"{self.topic(role)} is on another clock: {off}")
         record = make(stamp=stamp)
         with self._lock:
             newest = self._newest.get(role, -1.0)
@@ -130,7 +137,7 @@ class Sensors:
             self.refused[role] += 1
             self.complaint = reason
 
-    def _wheels(self, message: Any) -> Make | None:
+    def _wheels(self, message: Any) -> Read | None:
         """Read wheels; where some messages name them, those that do not are somebody else's."""
         if message.__msgtype__ == ODOMETRY:
             return records.odometry(message)
@@ -143,9 +150,9 @@ class Sensors:
         return found[1]
 
 
-def _fix(message: Any) -> Make | None:
+def _fix(message: Any) -> Read:
     found = records.fix(message)
-    return None if found is None else found[1]
+    return "has a pose that is not finite" if found is None else found[1]
 
 
 def with_topics(robot: RobotDescription, topics: Sequence[str]) -> RobotDescription:

@@ -8,12 +8,12 @@ _ENDS = 1e-9  # a ray through a corner hits, whatever the rounding
 
 
 @kernel
-def sweep(bases, mount, first, dt, stamp, beam_time, angles, segments, beams, out):
+def sweep(bases, mount, first, dt, stamp, beam_time, angles, segments, reach, beams, out):
     """Distance along each beam to the nearest segment (x0, y0, x1, y1), inf where there is none.
 
     bases (n, 3): poses at the times first + i dt, headings not wrapped; between two of them the base moves evenly.
     mount (3,): of the laser in the base; beam b is cast at stamp + b beam_time from where the laser then is. angles:
-    increasing evenly. beams (b, 5): room to work in.
+    increasing evenly. Segments farther away than `reach` [m] are left out. beams (b, 5): room to work in.
     """
     count = len(angles)
     for b in range(count):
@@ -32,6 +32,8 @@ def sweep(bases, mount, first, dt, stamp, beam_time, angles, segments, beams, ou
         ex, ey = segments[m, 2] - segments[m, 0], segments[m, 3] - segments[m, 1]
         part = min(max(-(x0 * ex + y0 * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
         near = math.hypot(x0 + part * ex, y0 + part * ey)
+        if near > reach + moved:
+            continue
         if near <= 2.0 * moved + 1e-6:
             _try(beams, segments[m], 0, count, out)
             continue

@@ -21,17 +21,16 @@ def numbers(values: object) -> str:
     return " ".join(f"{value:.12g}" for value in np.ravel(np.asarray(values, dtype=float)))
 
 
-def roller_axis(name: str) -> Float[np.ndarray, "3"]:
-    """Return the axis of the roller that touches the floor, seen from the base; the wheel's name tells its corner.
+def roller_axis(sign: float) -> Float[np.ndarray, "3"]:
+    """Return the axis of the roller that touches the floor, seen from the base; sign as in `MecanumBase.roller_signs`.
 
     No force acts across it: (v_x - l_y ω - r w) + c (v_y + l_x ω) = 0 with the axis (1, c, 0)/√2 is a row of (3.21)
     where c = -1 for front left and rear right, +1 for the other two.
     """
-    c = -1.0 if ("left" in name) == ("front" in name) else 1.0
-    return np.array([1.0, c, 0.0]) / math.sqrt(2.0)
+    return np.array([1.0, -sign, 0.0]) / math.sqrt(2.0)
 
 
-def add_rollers(hub: Element, name: str, radius: float, friction: float, mass: float) -> None:
+def add_rollers(hub: Element, name: str, sign: float, radius: float, friction: float, mass: float) -> None:
     """Hang rollers of `mass` [kg] each on a wheel's body, whose y is the axle; together they reach to `radius` [m]."""
     scale = radius / _RADIUS
     thickness, half_length = scale * THICKNESS, scale * HALF_LENGTH
@@ -40,7 +39,7 @@ def add_rollers(hub: Element, name: str, radius: float, friction: float, mass: f
     for i in range(ROLLERS):
         c, s = math.cos(2 * math.pi * i / ROLLERS), math.sin(2 * math.pi * i / ROLLERS)
         turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        axis = numbers(turn @ roller_axis(name))
+        axis = numbers(turn @ roller_axis(sign))
         body = SubElement(hub, "body", name=f"{name}_roller_{i}", pos=numbers(turn @ bottom), zaxis=axis)
         SubElement(body, "joint", name=f"{name}_roller_{i}", axis="0 0 1", damping=numbers(scale**4 * _DAMPING))
         SubElement(body, "inertial", pos="0 0 0", mass=numbers(mass), diaginertia=numbers([slim, slim, long]))

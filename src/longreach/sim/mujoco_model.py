@@ -166,7 +166,7 @@ class _Tree:
             if joint.name in self._base.wheel_names:
                 self._add_wheel(body, joint)
             else:
-                if joint.moves:
+                if joint.driven:
                     self._add_motor(body, joint)
                 _add_link(body, self._urdf.links[joint.child])
             self.grow(body, joint.child, beyond)
@@ -174,7 +174,8 @@ class _Tree:
     def _add_wheel(self, body: Element, joint: Joint) -> None:
         inertial = self._urdf.links[joint.child].inertial
         mass = 2.0 if inertial is None else inertial.mass
-        add_rollers(body, joint.name, self._base.wheel_radius, self._friction, _ROLLER_MASS_PART * mass / ROLLERS)
+        sign = self._base.roller_signs[self._base.wheel_names.index(joint.name)]
+        add_rollers(body, joint.name, sign, self._base.wheel_radius, self._friction, _ROLLER_MASS_PART * mass / ROLLERS)
         hub, radius = (1 - _ROLLER_MASS_PART) * mass, 0.7 * self._base.wheel_radius
         inertia = numbers(hub * radius**2 * np.array([0.25, 0.5, 0.25]))
         SubElement(body, "inertial", pos="0 0 0", mass=numbers(hub), diaginertia=inertia)
@@ -250,7 +251,7 @@ def _add_sensors(body: Element, robot: MobileManipulator, urdf: Urdf, sensors: E
     for kind in ("pos", "xaxis", "yaxis"):
         SubElement(sensors, f"frame{kind}", {"name": f"last_{kind}", "objtype": "xbody", "objname": last})
     for joint in urdf.joints:
-        if joint.kind in ("revolute", "prismatic"):
+        if joint.driven:
             SubElement(sensors, "jointactuatorfrc", name=f"{joint.name}_effort", joint=joint.name)
 
 

@@ -26,8 +26,9 @@ class Hand:
         """Return all joints of a robot's URDF that are neither wheels nor the arm's."""
         wheels = robot.description.base.wheel_names if robot.description.base else ()
         beside = {*wheels, *robot.joint_names[robot.arm]}
-        joints = [j for j in (robot.urdf.joints if robot.urdf else ()) if j.moves and j.name not in beside]
-        closed = np.array([0.0 if j.name.endswith(_SPREAD) else j.limits.upper for j in joints])
+        joints = [j for j in (robot.urdf.joints if robot.urdf else ()) if j.driven and j.name not in beside]
+        ends = [0.0 if j.name.endswith(_SPREAD) else j.limits.upper for j in joints]
+        closed = np.array([end if np.isfinite(end) else 0.0 for end in ends])
         moving = max(np.count_nonzero(closed), 1)
         share = np.array([1.0 / (moving * angle) if angle > 0 else 0.0 for angle in closed.tolist()])
         return cls(tuple(j.name for j in joints), closed, share)

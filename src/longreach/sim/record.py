@@ -1,7 +1,7 @@
 """Recordings of drives with physics, in the form that `longreach.sim.kinematic` gives: sensors, and the truth."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -15,7 +15,7 @@ from longreach.measurement import Recording
 from longreach.reference import Reference
 from longreach.robot.description import Mount, RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
-from longreach.sim.drive import make_drive, middle, move
+from longreach.sim.drive import Motion, make_drive, middle, move
 from longreach.sim.physics import PhysicsConfig, Simulation
 from longreach.sim.simulated import Simulated, Truth
 from longreach.sim.worlds import load_world
@@ -53,6 +53,41 @@ def record(
     truths = [truth for truth in simulation.truths() if truth.stamp >= start]
     name = f"{simulation.world.name}-{simulation.world.friction:g}"
     return recorded(readings, truths, name, simulation.robot.description)
+
+
+def steered(simulation: Simulated, motion: Motion) -> Callable[[float], Float[np.ndarray, "3"]]:
+    """Return the twists for `record` by which someone who sees the base keeps it on a motion, taking back all slip.
+
+    motion: its first row now, the others at the rate at which the base takes commands.
+    """
+    rate, twists, poses = simulation.capabilities.base_rate, motion.twist, motion.poses
+
+    def twist(t: float) -> Float[np.ndarray, "3"]:
+        i = min(round(t * rate), len(poses) - 1)
+        return twists[i] + _WATCHED * se2.difference(simulation.truth().base, poses[i])
+
+    return twist
+
+
+def record_motion(simulation: Simulated, motion: Motion, watch: Callable[[Simulated], None] | None = None) -> Recording:
+    """Drive a base along a motion and return what its sensors said, and the truth; see `steered`."""
+    duration = len(motion.poses) / simulation.capabilities.base_rate
+    return record(simulation, steered(simulation, motion), duration, watch)
+
+
+def readings_along(simulation: Simulated, motions: Iterable[Motion]) -> Iterator[tuple[Readings, Truth]]:
+    """Drive a base along one motion after the other and yield what was read, and the truth, after each command.
+
+    Nothing is kept: drives may be as long as one likes where the simulation keeps no truth (`SensorConfig.truth` at a
+    low rate).
+    """
+    dt = 1.0 / simulation.capabilities.base_rate
+    for motion in motions:
+        start, twist = simulation.stamp, steered(simulation, motion)
+        for i in range(len(motion.poses)):
+            simulation.write(Command(simulation.stamp, base=twist(i * dt)))
+            simulation.advance(start + (i + 1) * dt - simulation.stamp)
+            yield simulation.read(), simulation.truth()
 
 
 def recorded(
@@ -116,10 +151,4 @@ def make_recording(
 
     rate = simulation.capabilities.base_rate
     motion = move(drive, np.arange(math.ceil(duration * rate) + 1) / rate)
-    twists, poses = motion.twist, motion.poses
-
-    def steered(t: float) -> Float[np.ndarray, "3"]:
-        i = round(t * rate)
-        return twists[i] + _WATCHED * se2.difference(simulation.truth().base, poses[i])
-
-    return record(simulation, steered, duration, watch).replace(name=f"physics-{seed}")
+    return record(simulation, steered(simulation, motion), duration, watch).replace(name=f"physics-{seed}")

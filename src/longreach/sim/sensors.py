@@ -20,6 +20,7 @@ from longreach.sim._sweep_kernels import spoil, sweep
 _BEAMS = 1081
 _FIRST_BEAM = math.radians(-135.0)  # of a scanner whose description does not say it
 _ROUNDING = 1e-9
+_NOISIEST = 10.0  # deviations of a range by which no noise brings it back into reach
 
 _Record = TypeVar("_Record")
 
@@ -164,8 +165,10 @@ class Scanner:
     ) -> LaserScan:
         """Sweep while the base passes through `bases`, its poses at first + i dt [s], headings not wrapped."""
         ranges = np.empty(len(self.angles))
-        sweep(bases, self.mount, first, dt, stamp, self.beam_time, self.angles, self.walls, self.room, ranges)
         nearest, farthest, timing = self.lidar.range_min or 0.0, self.lidar.range_max or math.inf, self.timing
+        reach = farthest + _NOISIEST * timing.range_deviation
+        times = (first, dt, stamp, self.beam_time)
+        sweep(bases, self.mount, *times, self.angles, self.walls, reach, self.room, ranges)
         noise, lost = rng.standard_normal(len(ranges)), rng.random(len(ranges))
         spoil(ranges, noise, timing.range_deviation, lost, timing.lost_beams, nearest, farthest)
         numbers = [self.angles[0], self.angles[1] - self.angles[0], nearest, farthest, self.beam_time]

@@ -56,6 +56,7 @@ class Teleop:
         self.map = GrowingMap(self.scene)
         self._started = 0.0
         self._dragging, self._busy, self._watched = False, "", 0.0  # when a browser was there last [s]
+        self._failed = False  # to draw
         self._recorder: Recorder | None = None
         self._trails = {name: Trail(self.scene, name) for name in ("base driven", "tool driven")}
         self._follower = Follower(server)
@@ -178,7 +179,7 @@ class Teleop:
         self.record_button.label, self.record_button.color = "Record", "gray"
         recorder.close()
         if recorder.error:
-            self._tell("The recording has ended early", recorder.error)
+            self._tell("The recording is not whole", recorder.error)
         else:
             self._tell(f"Recorded to {recorder.path}", "longreach view shows it again.")
 
@@ -225,7 +226,13 @@ class Teleop:
         while not until.wait(_FRAME):
             count += 1
             self._release_when_alone()
-            self.show(count)
+            try:
+                self.show(count)
+            except Exception as error:  # whatever it is: STOP and the keys work only as long as the page is served
+                if not self._failed:
+                    _LOG.exception("The page could not show the robot's state.")
+                self._failed = True
+                self._tell("The scene is out of date", f"It cannot be drawn: {error}. STOP and the keys still work.")
         if driver.ident is not None:
             driver.join()
         self._unwatch()
@@ -235,6 +242,11 @@ class Teleop:
         state, robot = self.client.state, self.client.robot
         tool = robot.forward(state.q)
         with self._server.atomic():
+            if count % 5 == 0:  # first, for they say also that the rest could not be drawn
+                self._show_status(state)
+                self._notices.show(self._banner(state))
+                if self._recorder is not None and self._recorder.error:
+                    self._try(self.record)
             self._take_scan(count)
             self.scene.magnified = float(self._magnified.value.split()[0])
             truth = (state.truth, state.tool_truth)
@@ -247,11 +259,6 @@ class Teleop:
                 self._put_gizmo(tool)
             if self._started and time.monotonic() > self._started + 1.0 and state.goal != "follow":
                 self._plan_ended(state.why)
-            if count % 5 == 0:
-                self._show_status(state)
-                self._notices.show(self._banner(state))
-                if self._recorder is not None and self._recorder.error:
-                    self._try(self.record)
             self._plots.take(state, show=count % 10 == 0)
 
     def _take_scan(self, count: int) -> None:

@@ -73,7 +73,7 @@ def planar_imu(
     to the acceleration, which `acceleration_variance` [(m/s²)²] has to cover; infinite, only the rate is used.
     """
     R, a, covariance = T_base_imu[:3, :3], None, None
-    if acceleration_variance != math.inf:
+    if imu.acceleration is not None and acceleration_variance != math.inf:
         a, covariance = R[:2] @ imu.acceleration, acceleration_variance * np.eye(2)
     rate, position = float(R[2] @ imu.angular_velocity), T_base_imu[:2, 3]
     return PlanarImu(imu.stamp, rate, a, position, rate_variance, covariance, source)

@@ -361,14 +361,27 @@ class Client:
         self._connection.order("hold")
 
     def stop(self, reason: str = "The client says stop.") -> None:
-        """Brake at once, whoever holds the robot; it stays so until `reset`."""
+        """Brake at once, whoever holds the robot; it stays so until `reset`.
+
+        Raises:
+            LiveError: the robot does not answer, or does not say within 1 s that it is stopped.
+        """
+        before, subscriber = self._since, self._subscriber
         self._connection.order(f"stop {reason}")
-        self._subscriber.wait(lambda: self._latched, _CONFIRMED)
+        stopped = subscriber.wait(lambda: self._latched and self._since != before, _CONFIRMED)
+        if not stopped and not subscriber.is_this_thread():  # a callback's thread cannot wait
+            raise LiveError(
+                f"The robot has not said within {_CONFIRMED:g} s that it is stopped; use its own red button."
+            )
 
     def reset(self) -> None:
-        """Let the robot move again after a stop that holds."""
+        """Let the robot move again after a stop that holds.
+
+        Raises:
+            LiveError: another client holds the robot, or it was stopped anew, which this client has not heard of yet.
+        """
         self._take_if_free()
-        self._connection.order("reset")
+        self._connection.order(f"reset {self._since}")
         self._subscriber.wait(lambda: not self._latched, _CONFIRMED)
 
     def take(self) -> None:
@@ -383,6 +396,11 @@ class Client:
     @property
     def _latched(self) -> bool:
         return self._subscriber.tick_status.get("latched") == "1"
+
+    @property
+    def _since(self) -> str:
+        """Since when the robot is stopped, as its status has it: which stop that is."""
+        return self._subscriber.tick_status.get("since", "")
 
     def _begin(self) -> None:
         """Take the robot where nobody holds it, unless it is stopped: then nothing moves it."""

@@ -190,7 +190,7 @@ class Subscriber:
     def _take_reading(self, kind: str, topic: Topic, make: Callable[[Any], Any], payload: bytes) -> None:
         message = topic.unpack(payload)
         made = make(message)
-        if made is not None:
+        if made is not None and not isinstance(made, str):
             self._new[kind].append(made(stamp=commands.stamp_of(message)))
 
     def _take_arm(self, payload: bytes) -> None:
@@ -244,12 +244,16 @@ class Subscriber:
                 taken[kind] = tuple(new.popleft() for _ in range(len(new)))
         return replace(Readings(stamp), **taken)
 
+    def is_this_thread(self) -> bool:
+        """Whether who asks is the thread that hears, and calls back."""
+        return current_thread() is self._thread
+
     def wait(self, ready: Callable[[], _T | None], timeout: float) -> _T | None:
         """Return what `ready` returns as soon as that is something, or None after a time [s].
 
         A callback's thread does not wait: it is the one that hears.
         """
-        until = time.monotonic() + (0.0 if current_thread() is self._thread else timeout)
+        until = time.monotonic() + (0.0 if self.is_this_thread() else timeout)
         with self.changed:
             while not (found := ready()) and (left := until - time.monotonic()) > 0.0:
                 self.changed.wait(min(left, 1.0))  # it cannot wait for ever
@@ -269,7 +273,7 @@ def made_state(
     covariance, wheels = np.zeros((3, 3)), np.zeros(3)
     if robot.base.stop:
         make, alone = records.odometry(said[topics.ESTIMATE]), records.odometry(said[topics.WHEELS_ALONE])
-        if make is None or alone is None:
+        if isinstance(make, str) or isinstance(alone, str):
             raise ValueError("an odometry that says nothing")
         odometry, wheels = make(stamp=stamp), alone(stamp=stamp).pose
         covariance = covariance if odometry.pose_covariance is None else odometry.pose_covariance

@@ -23,7 +23,7 @@ _NEAR = 0.02  # past the newest pose a stamp is taken for that [s]
 def tree(robot: MobileManipulator) -> tuple[Joint, ...]:
     """Return all joints below the base, each after the one that carries it; the description's own frames are fixed."""
     joints = list(robot.urdf.joints) if robot.urdf is not None else []
-    known = {joint.child for joint in joints}
+    known = {BASE, *(joint.child for joint in joints)} | ({robot.urdf.root} if robot.urdf is not None else set())
     description = robot.description
     own = [(name, mount.parent, mount.matrix()) for name, mount in description.frames.items()]
     for sensor in (description.lidar, description.imu):

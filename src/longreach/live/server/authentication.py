@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from longreach.live.protocol import topics
-from longreach.live.protocol.message_header import authentication, unpack_header
+from longreach.live.protocol.message_header import MessageHeader, authentication, unpack_header
 from longreach.live.protocol.topics import Topic
 from longreach.live.protocol.transport import OPERATOR
 from longreach.rejection_counts import RejectionCounts
@@ -31,8 +31,8 @@ class Authentication:
         self._keys, self._nonce, self.rejections = keys, nonce, rejections
         self._numbers: OrderedDict[tuple[bytes, str], int] = OrderedDict()  # by sender and topic
 
-    def admit(self, topic: Topic, sample: Any) -> tuple[bytes, Any]:
-        """Return who sent a sample or query, and its message.
+    def admit(self, topic: Topic, sample: Any) -> tuple[MessageHeader, Any]:
+        """Return the header of a sample or query, and its message.
 
         Raises:
             Rejected: it is not let in.
@@ -48,6 +48,8 @@ class Authentication:
         role = OPERATOR
         if self._keys:
             role = self._role(topic, header[: len(header) - len(mac)], data, mac)
+            if role != OPERATOR:  # everybody sees the holder's sender: who uses it as a watcher is somebody else
+                about = about._replace(sender=role.encode() + about.sender)
             # On one topic: messages of different topics may overtake each other, and the topic is authentic, too.
             if about.number <= self._numbers.get((about.sender, topic.key), -1):
                 raise Rejected("repeated")
@@ -61,7 +63,7 @@ class Authentication:
         self._numbers.move_to_end((about.sender, topic.key))
         while len(self._numbers) > _NUMBERS:
             self._numbers.popitem(last=False)
-        return about.sender, message
+        return about, message
 
     def _role(self, topic: Topic, header: bytes, data: bytes, mac: bytes) -> str:
         """Return the role that has signed a message."""

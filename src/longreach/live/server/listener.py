@@ -16,6 +16,7 @@ from longreach.control.hardware import Command, GripperCommand
 from longreach.control.obstacles import met_by
 from longreach.errors import LiveError, LongreachError
 from longreach.live.protocol import commands, topics
+from longreach.live.protocol.message_header import MessageHeader
 from longreach.live.protocol.topics import TYPES, Topic
 from longreach.live.server.authentication import Authentication, Rejected
 from longreach.robot.mobile_manipulator import MobileManipulator
@@ -72,16 +73,17 @@ class Listener:
         self.plan: ConfigurationTrajectory | None = None
         self.stopped, self.stopped_by = "", ""  # why a client has stopped the robot last, and which
         self.plans, self._given = 0, 0  # how many the loop has begun with, and how many were given
+        self._ordered = 0  # the number of the holder's newest order or plan
         streams = {
-            topics.TWIST: lambda message: self._direct(commands.twist(message, robot)),
-            topics.JOINTS: lambda message: self._direct(commands.arm(message, robot)),
-            topics.TOOL: lambda message: self._set(goal=ServoGoal(commands.tool(message))),
-            topics.GRIPPER: lambda message: self._set(gripper=commands.gripper(message, robot)),
-            topics.HEARTBEAT: lambda message: None,
+            topics.TWIST: lambda message: partial(self._direct, commands.twist(message, robot)),
+            topics.JOINTS: lambda message: partial(self._direct, commands.arm(message, robot)),
+            topics.TOOL: lambda message: partial(self._set, goal=ServoGoal(commands.tool(message))),
+            topics.GRIPPER: lambda message: partial(self._set, gripper=commands.gripper(message, robot)),
+            topics.HEARTBEAT: lambda message: lambda: None,
         }
         questions = {topics.ORDER: self._order, topics.EXECUTE: self._execute}
         self._declared = [
-            *(session.declare_subscriber(t.key, partial(self._hear, t, take)) for t, take in streams.items()),
+            *(session.declare_subscriber(t.key, partial(self._hear, t, read)) for t, read in streams.items()),
             *(session.declare_queryable(t.key, partial(self._answer, t, do)) for t, do in questions.items()),
         ]
 
@@ -102,14 +104,19 @@ class Listener:
         heartbeat = now - holder.silent if holder.sender else None
         return Orders(goal, asked.gripper, asked.stop, asked.reset, heartbeat)
 
-    def _hear(self, topic: Topic, take: Callable[[Any], None], sample: Any) -> None:
-        """Take a message of a stream, which nobody waits for an answer to."""
+    def _hear(self, topic: Topic, read: Callable[[Any], Callable[[], None]], sample: Any) -> None:
+        """Take a message of a stream, which nobody waits for an answer to; read: returns what does as it says."""
         try:
-            sender, message = self._authentication.admit(topic, sample)
-            self._check_holder(sender)
+            about, message = self._authentication.admit(topic, sample)
+            with self._lock:
+                self._check_holder(about)
             if topic is not topics.HEARTBEAT:  # whose stamp is not filled in
                 self._check_age(message, _STREAM_AGE)
-            take(message)
+            do = read(message)
+            with self._lock:
+                if topic is not topics.HEARTBEAT:
+                    self._check_current(about, message)
+                do()
         except Exception as rejection:
             self._reject(rejection, topic)
 
@@ -122,7 +129,7 @@ class Listener:
         self._authentication.rejections.count(reason, topic.name)
         return reason
 
-    def _answer(self, topic: Topic, do: Callable[[bytes, Any], str], query: Any) -> None:
+    def _answer(self, topic: Topic, do: Callable[[MessageHeader, Any], str], query: Any) -> None:
         """Do what a query asks for, and answer with a std_msgs/String: what was refused and why, or nothing."""
         with query:
             try:
@@ -131,74 +138,89 @@ class Listener:
                 answer = f"refused: {self._reject(rejection, topic)}"
             query.reply(topic.key, topics.ORDER.pack(TYPES["std_msgs/msg/String"](answer)))
 
-    def _check_holder(self, sender: bytes) -> None:
-        with self._lock:
-            holder = self.holder
-            if holder.sender != sender:
-                raise Rejected("from a client that does not hold the robot")
-            holder.heard = True
+    def _check_holder(self, about: MessageHeader) -> None:
+        """Refuse what does not come from the holder, and note that it was heard; the lock is held."""
+        if self.holder.sender != about.sender:
+            raise Rejected("from a client that does not hold the robot")
+        self.holder.heard = True
 
     def _check_age(self, message: Any, most: float) -> None:
-        """Refuse what was on its way for too long, or was sent before the robot has missed its client."""
-        stamp = commands.stamp_of(message)
-        if self._clock() - stamp > most:
+        """Refuse what was on its way for too long."""
+        if self._clock() - commands.stamp_of(message) > most:
             raise Rejected(f"older than {most:g} s")
-        if stamp < self._missed:
+
+    def _check_current(self, about: MessageHeader, message: Any) -> None:
+        """Refuse what does not count any more: messages are read beside each other, and a later one may come first."""
+        if self.holder.sender != about.sender:
+            raise Rejected("from a client that does not hold the robot")
+        if commands.stamp_of(message) < self._missed:
             raise Rejected("sent before the client was missed")
+        if about.number < self._ordered:
+            raise Rejected("sent before its client has asked for something else")
 
     def _set(self, **asked: Any) -> None:
-        with self._lock:
-            for name, value in asked.items():
-                setattr(self._asked, name, value)
-            if "goal" in asked:
-                self._asked.direct = None
+        for name, value in asked.items():
+            setattr(self._asked, name, value)
+        if "goal" in asked:
+            self._asked.direct = None
 
     def _direct(self, command: Command) -> None:
         """Put a command for base or arm beside what came for the other since the last tick."""
-        with self._lock:
-            before = self._asked.direct
-            if before is not None:
-                arm = (before.arm, before.arm_mode) if command.arm is None else (command.arm, command.arm_mode)
-                base = before.base if command.base is None else command.base
-                command = Command(max(before.stamp, command.stamp), *arm, base)
-            self._asked.direct = command
+        before = self._asked.direct
+        if before is not None:
+            arm = (before.arm, before.arm_mode) if command.arm is None else (command.arm, command.arm_mode)
+            base = before.base if command.base is None else command.base
+            command = Command(max(before.stamp, command.stamp), *arm, base)
+        self._asked.direct = command
 
-    def _order(self, sender: bytes, message: Any) -> str:
+    def _order(self, about: MessageHeader, message: Any) -> str:
         """Do what one word asks for; the rest of the line is a name or a reason."""
         word, _, rest = message.data.partition(" ")
-        if word == "stop":
-            with self._lock:
-                self.stopped = commands.one_line(rest, _REASON) or "A client says stop."
-                holds = sender == self.holder.sender
-                self.stopped_by = self.holder.name if holds else "a client that does not hold the robot"
-            self._set(goal=Hold(), stop=self.stopped)
-            return ""
-        if word == "take":
-            return self._give(sender, commands.one_line(rest, _NAME) or "somebody")
-        self._check_holder(sender)
-        if word == "release":
-            self._set(goal=Hold())
-            with self._lock:
-                self.holder = Holder()
-        elif word == "hold":
-            self._set(goal=Hold())
-        elif word == "reset":
-            self._set(goal=Hold(), reset=True)  # what came before it does not count after it
-        else:
-            raise Rejected("an unknown order")
-        return ""
-
-    def _give(self, sender: bytes, name: str) -> str:
         with self._lock:
-            if self.holder.sender not in (b"", sender):
-                raise LiveError(f"{self.holder.name} holds the robot; wait until it is released.")
-            self.holder = Holder(sender, name)
-        _LOG.info("%s holds the robot.", name)
+            if word == "stop":
+                self.stopped = commands.one_line(rest, _REASON) or "A client says stop."
+                holds = about.sender == self.holder.sender
+                self.stopped_by = self.holder.name if holds else "a client that does not hold the robot"
+                self._set(goal=Hold(), gripper=None, stop=self.stopped)
+                return ""
+            if word == "take":
+                self._give(about, commands.one_line(rest, _NAME) or "somebody")
+                return ""
+            self._check_holder(about)
+            if word == "reset":
+                self._check_stop(rest)
+                self._set(goal=Hold(), gripper=None, reset=True)  # what came before it does not count after it
+            elif word in ("hold", "release"):
+                self._set(goal=Hold())
+            else:
+                raise Rejected("an unknown order")
+            self._ordered = about.number
+            if word == "release":
+                self.holder = Holder()
         return ""
 
-    def _execute(self, sender: bytes, message: Any) -> str:
+    def _check_stop(self, since: str) -> None:
+        """Refuse a reset of another stop than the robot's: somebody has pressed stop while it was on its way.
+
+        since: of the stop that its sender sees, as the status has it; empty: it is for any.
+        """
+        record = self._record()
+        stop = None if record is None else record.tick.stop
+        if since and stop is not None and stop.latched and since != f"{stop.since:.6f}":
+            raise LiveError(f"The robot was stopped anew: {stop.reason} Look why, then reset it.")
+
+    def _give(self, about: MessageHeader, name: str) -> None:
+        if self.holder.sender not in (b"", about.sender):
+            raise LiveError(f"{self.holder.name} holds the robot; wait until it is released.")
+        if not self.holder.sender:
+            self._ordered = about.number
+        self.holder = Holder(about.sender, name)
+        _LOG.info("%s holds the robot.", name)
+
+    def _execute(self, about: MessageHeader, message: Any) -> str:
         """Let the robot follow a trajectory; the answer is the plan's number."""
-        self._check_holder(sender)
+        with self._lock:
+            self._check_holder(about)
         self._check_age(message, _ANSWER_AGE)
         record = self._record()
         if record is None:
@@ -210,7 +232,9 @@ class Listener:
         around = record.state.gate.obstacles
         if around is not None and (met := met_by(around, plan)):
             raise LiveError(f"{met} Plan another way, or let the laser look again.")
-        with self._lock:
+        with self._lock:  # a long plan takes a while to look at: much may have happened since
+            self._check_current(about, message)
+            self._ordered = about.number
             self.plan, self._given = plan, self._given + 1
-            self._asked.goal, self._asked.direct = Follow(plan, -self._config.before), None
+            self._set(goal=Follow(plan, -self._config.before))
             return f"plan {self._given}"

@@ -148,9 +148,8 @@ class Server:
         holder, stop = self._listener.holder, record.tick.stop
         around, ended = record.state.gate.obstacles, record.state.why
         limited = around is not None and around.nearest is not None
-        what = (
-            f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {stop and stop.cause} {ended} {limited}"
-        )
+        halted = stop and (stop.cause, stop.since)
+        what = f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {halted} {ended} {limited}"
         if what == self._status and now < self._status_due:
             return
         self._status, self._status_due = what, now + _STATUS_EVERY - 1e-6

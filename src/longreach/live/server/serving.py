@@ -95,10 +95,11 @@ def serve(
     obstacles: bool = True,
     rejections: RejectionCounts | None = None,
     ready: Callable[[Server], None] = lambda server: None,
-) -> Ticker:
+) -> tuple[Ticker, str]:
     """Serve a robot until `ended` says why it shall end; wait_until: None paces a simulated one to the wall's time.
 
-    The ticker's lateness is by the wall, of a simulated robot, too.
+    Returns how its ticks were, whose lateness is by the wall, of a simulated robot, too, and what is wrong with the
+    recording; an empty text where nothing is.
 
     Raises:
         LiveError: it cannot listen there. RecordingError: it cannot record there.
@@ -118,8 +119,9 @@ def serve(
             rhythm = robot_side.run(hardware, wait_until, robot, base, server.take, server.publish, ended, settings)
         finally:
             server.close()
+    wrong = "" if recorder is None else recorder.error
     if paced is None:
-        return rhythm
+        return rhythm, wrong
     if paced.behind:
         _LOG.warning("The simulation has fallen behind the wall's clock by %.1f s in all.", paced.behind)
-    return replace(rhythm, late=paced.late, lateness=paced.lateness)
+    return replace(rhythm, late=paced.late, lateness=paced.lateness), wrong
