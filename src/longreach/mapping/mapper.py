@@ -151,13 +151,13 @@ def _with_keyframe(
     before = state.at_keyframe
     if before is None or state.graph is None:
         first = PoseGraph(row.pose[None], no_edges(), no_edges())
-        graph, covariance = incremental.init(first), np.zeros((3, 3))
+        graph, covariances = incremental.init(first), (np.zeros((3, 3)), np.zeros((3, 3)))
     else:
-        covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
+        covariances = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
         n, moved = len(state.keyframes), se2.between(before.pose, row.pose)
-        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariance[None])
+        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariances[0][None])
         graph = incremental.step(state.graph, edge)
-    keyframe = Keyframe(scan, row.pose, twist, covariance, state.way, features)
+    keyframe = Keyframe(scan, row.pose, twist, *covariances, state.way, features)
     return replace(state, graph=graph, keyframes=(*state.keyframes, keyframe), at_keyframe=row)
 
 
@@ -288,7 +288,7 @@ def _judged(state: MapperState) -> MapperState:
 
 
 def _apart(match: Match) -> float:
-    """Return over how much path closures that confirm each other spread [m]: as far as the place may be mistaken for."""
+    """Return over how much path closures that confirm each other spread [m]: as far as the place may be off."""
     return min(match.evidence.window, 0.5 * _NEIGHBOURS)
 
 

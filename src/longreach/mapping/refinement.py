@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.keyframes import LOCAL, Keyframe, Place, neighbours, odometry_edges, place_of, ways
+from longreach.mapping.keyframes import Keyframe, Place, local_edges, neighbours, place_of, ways
 from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
 from longreach.mapping.solver import Solved
 
@@ -34,9 +34,7 @@ def refined(
 
     Once: what a second time changes is within what relations show of four real logs.
     """
-    odometry = odometry_edges(keyframes)
-    odometry = Edges(odometry.i, odometry.j, odometry.z, LOCAL * odometry.covariance)
-    return solver.optimize_robust(PoseGraph(poses, odometry, _passes(keyframes, poses, progress)))
+    return solver.optimize_robust(PoseGraph(poses, local_edges(keyframes), _passes(keyframes, poses, progress)))
 
 
 def _passes(
@@ -55,7 +53,7 @@ def _passes(
             fit = loop_closure.fitted(keyframe.features, places[c].local_map, at, np.full(3, 100.0), _SIGMA)
             overlap = fit.rows / max(keyframe.features.count, 1)
             if overlap >= _OVERLAP and fit.inlier_ratio >= _AGREES * overlap and math.isfinite(fit.scale):
-                found.append((c, k, fit.pose, loop_closure.covariance_of(fit)))
+                found.append((c, k, fit.pose, loop_closure.covariance_of(fit, keyframe.features.reach)))
     return Edges(*(np.array(column) for column in zip(*found, strict=True))) if found else no_edges()
 
 
