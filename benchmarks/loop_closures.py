@@ -73,7 +73,7 @@ def as_the_program_does(recording: Recording) -> Built:
     graph, weights = mapped.map.graph, mapped.map.weights
     accepted = [c.match for c in mapped.closures if c.status == "accepted"]
     gates = Counter(c.match.gate or c.status for c in mapped.closures)
-    return Built(accepted, mapped.map.stamps, solver.optimize(graph, np.round(weights)), gates)
+    return Built(accepted, mapped.map.stamps, solver.optimize(graph, weights), gates)
 
 
 def with_drift(recording: Recording, rng: np.random.Generator) -> Built:
@@ -94,9 +94,10 @@ def with_drift(recording: Recording, rng: np.random.Generator) -> Built:
         rows.append(PathRow(scan.stamp, pose, P))
     state = mapper.settled(mapper.step(mapper.init(recording.mounts[scans[0].frame]), scans, rows))
     accepted = [state.matches[a] for a in state.accepted if a not in state.withdrawn]
+    solved = refined(state.keyframes, state.poses, mapper.closure_edges(accepted))
     gates = Counter(m.gate or "passed" for m in state.matches)
     stamps = np.array([k.stamp for k in state.keyframes])
-    return Built(accepted, stamps, refined(state.keyframes, state.poses), gates)
+    return Built(accepted, stamps, solved, gates)
 
 
 class Judged(NamedTuple):

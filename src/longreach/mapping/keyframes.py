@@ -91,8 +91,8 @@ class Place:
     @cached_property
     def local_map(self) -> LocalMap:
         """The surfaces of all, merged."""
-        placed = zip(self.keyframes, self.poses, strict=True)
-        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in placed])
+        seen = zip(self.keyframes, self.poses, strict=True)
+        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in seen])
 
     @cached_property
     def joined(self) -> Features:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
 from longreach.mapping.keyframes import Keyframe, Place, local_edges, neighbours, place_of, ways
-from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
+from longreach.mapping.pose_graph import Edges, PoseGraph, joined, no_edges
 from longreach.mapping.solver import Solved
 
 _REACH = 2.5  # [m] from a keyframe to another pass,
@@ -28,13 +28,16 @@ _OVERLAP, _AGREES = 0.3, 0.6  # share of a scan's returns that see the place, an
 def refined(
     keyframes: tuple[Keyframe, ...],
     poses: Float[np.ndarray, "n 3"],
+    closures: Edges,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Solved:
     """Match every keyframe to other passes as poses (n, 3), whose loops are closed, lay them out; then solve, robustly.
 
-    Once: what a second time changes is within what relations show of four real logs.
+    Closures stay in the graph, before the edges to other passes. Once: what a second time changes is within what
+    relations show of four real logs.
     """
-    return solver.optimize_robust(PoseGraph(poses, local_edges(keyframes), _passes(keyframes, poses, progress)))
+    edges = joined(closures, _passes(keyframes, poses, progress))
+    return solver.optimize_robust(PoseGraph(poses, local_edges(keyframes), edges))
 
 
 def _passes(
