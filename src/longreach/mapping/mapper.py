@@ -151,13 +151,13 @@ def _with_keyframe(
     before = state.at_keyframe
     if before is None or state.graph is None:
         first = PoseGraph(row.pose[None], no_edges(), no_edges())
-        graph, covariance = incremental.init(first), np.zeros((3, 3))
+        graph, covariances = incremental.init(first), (np.zeros((3, 3)), np.zeros((3, 3)))
     else:
-        covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
+        covariances = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
         n, moved = len(state.keyframes), se2.between(before.pose, row.pose)
-        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariance[None])
+        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariances[0][None])
         graph = incremental.step(state.graph, edge)
-    keyframe = Keyframe(scan, row.pose, twist, covariance, state.way, features)
+    keyframe = Keyframe(scan, row.pose, twist, *covariances, state.way, features)
     return replace(state, graph=graph, keyframes=(*state.keyframes, keyframe), at_keyframe=row)
 
 
@@ -227,12 +227,28 @@ def _looked(state: MapperState) -> MapperState:
         return state
     rows = neighbours(way, j, _BEHIND, 0.0)
     now = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
+    matches = list[Match]()
     for c in candidates:
         nearest = partial(_nearest, state, c.row)
         match = loop_closure.compared(_place(state, c.row), now, c.mean, c.covariance, nearest)
         if match is not None:
-            state = _judged(replace(state, matches=(*state.matches, match)))
+            matches.append(match)
+    for match in _only_one(state, matches):
+        state = _judged(replace(state, matches=(*state.matches, match)))
     return state
+
+
+def _only_one(state: MapperState, matches: list[Match]) -> list[Match]:
+    """Return matches of one keyframe, refused where another one puts it elsewhere: places look the same."""
+    passed = [m for m in matches if not m.gate]
+    at = np.array([se2.compose(state.poses[m.i], m.pose) for m in passed]).reshape(-1, 3)
+    spread = np.hypot(*(at[:, None, :2] - at[None, :, :2]).transpose(2, 0, 1)).max(initial=0.0)
+    if spread < loop_closure.APART:
+        return matches
+    second = min(m.evidence.agreement for m in passed)
+    return [
+        m if m.gate else replace(m, gate="uniqueness", evidence=m.evidence._replace(second=second)) for m in matches
+    ]
 
 
 def _nearest(state: MapperState, c: int, pose: np.ndarray) -> tuple[Place, np.ndarray]:
@@ -263,11 +279,17 @@ def _judged(state: MapperState) -> MapperState:
             agree[a, b] = agree[b, a] = _agree(state, way, state.matches[near[a]], state.matches[near[b]])
     clique = largest_clique(agree, [len(near) - 1])
     closed = max((way[state.matches[a].j] for a in state.accepted), default=0.0)
-    if len(clique) < (3 if way[-1] - closed > _LONG else 2):
+    ends = [way[state.matches[near[a]].j] for a in clique]
+    if len(clique) < (3 if way[-1] - closed > _LONG else 2) or max(ends) - min(ends) < _apart(match):
         return state
     taken = [near[a] for a in clique if near[a] not in state.accepted]
     solved = _solved(replace(state, accepted=(*state.accepted, *taken)))
     return state if _is_looked_through(solved) else solved
+
+
+def _apart(match: Match) -> float:
+    """Return over how much path closures that confirm each other spread [m]: as far as the place may be off."""
+    return min(match.evidence.window, 0.5 * _NEIGHBOURS)
 
 
 def settled(state: MapperState) -> MapperState:
