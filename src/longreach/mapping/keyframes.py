@@ -27,6 +27,7 @@ DISTANCE, TURNED = 0.5, math.radians(20.0)  # between keyframes [m, rad]
 # How a local map drifts, beyond what matches to it show: a variance a metre of the path [m²/m, rad²/m]. Over 100 m of
 # four real logs the heading's NEES is then 0.1 to 1.7, the position's 0.1 to 1.3 (1 is ideal; benchmarks/mapping.py).
 DRIFT = np.array([0.01**2, 0.01**2, math.radians(0.2) ** 2])
+BETWEEN_SESSIONS = 1000.0  # [m] of way, so that none of one is taken for a neighbour of another
 _MOST = 20  # keyframes on either side in a place
 _DEFAULTS = LidarConfig()
 MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
@@ -37,7 +38,8 @@ class Keyframe:
     """A scan that was taken at the pose `odom` (3,) in the frame odom.
 
     twist (3,): of the base during the sweep [m/s, m/s, rad/s]. covariance (3, 3): of ξ of the motion since the last
-    keyframe. way [m]: along the path from the start. features: of the scan, in the base's frame.
+    keyframe; 0 of the first one of a session, which odometry does not join with the one before. way [m]: along the path
+    from the start; a session begins far from the last one's end. features: of the scan, in the base's frame.
     """
 
     scan: LaserScan
@@ -95,6 +97,20 @@ class Place:
         return Features(values, values.shape[1], noise, reach)
 
 
+def regions_of(keyframes: Sequence[Keyframe], poses: Float[np.ndarray, "n 3"], reach: float) -> tuple[LocalMap, ...]:
+    """Return local maps in the frame of the map, where keyframes are at poses (n, 3): each has one within reach [m]."""
+    seen = [k.surfaces for k in keyframes]
+    on_map = [local_map.Keyframe(pose, s.elements, s.noise) for pose, s in zip(poses, seen, strict=True)]
+    left, found = list(range(len(on_map))), []
+    while left:
+        centre = poses[left[0], :2]
+        far = np.hypot(*(poses[:, :2] - centre).T)
+        around = [*np.flatnonzero(far < 1.5 * reach).tolist(), left[0]]  # with what can be seen from its edge
+        found.append(local_map.merged([on_map[k] for k in around], len(around), np.inf))
+        left = [k for k in left if far[k] > reach - 3.0]
+    return tuple(found)
+
+
 def motion_covariance(
     before: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     after: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
@@ -128,10 +144,11 @@ def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float
 
 
 def odometry_edges(keyframes: Sequence[Keyframe]) -> Edges:
-    """Return the edges from each keyframe to the next."""
-    n, odom = len(keyframes), np.array([k.odom for k in keyframes])
-    covariance = np.array([k.covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
-    return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
+    """Return the edges from each keyframe to the next one of its session."""
+    odom = np.array([k.odom for k in keyframes])
+    j = np.array([k for k in range(1, len(keyframes)) if keyframes[k].covariance.any()], dtype=int)
+    covariance = np.array([keyframes[k].covariance for k in j]).reshape(-1, 3, 3)
+    return Edges(j - 1, j, se2.between(odom[j - 1], odom[j]), covariance)
 
 
 def odometry_between(keyframes: Sequence[Keyframe], i: int, j: int) -> Edge:

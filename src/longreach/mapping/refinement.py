@@ -18,7 +18,7 @@ from longreach.mapping.solver import Solved
 
 # Of the covariance of odometry's edges. Drift is what errors that last over many keyframes add up to; from one to the
 # next it is far less. With this the graph's χ² per degree of freedom is 0.6 to 1.1 on four real logs (1 is ideal).
-_LOCAL = 0.1
+LOCAL = 0.1
 _REACH = 2.5  # [m] from a keyframe to another pass,
 _PASSES = 4  # the nearest ones of which are taken
 _ELSEWHERE = 10.0  # [m] of path to another pass,
@@ -38,7 +38,7 @@ def refined(
     Once: what a second time changes is within what relations show of four real logs.
     """
     odometry = odometry_edges(keyframes)
-    odometry = Edges(odometry.i, odometry.j, odometry.z, _LOCAL * odometry.covariance)
+    odometry = Edges(odometry.i, odometry.j, odometry.z, LOCAL * odometry.covariance)
     return solver.optimize_robust(PoseGraph(poses, odometry, _passes(keyframes, poses, progress)))
 
 
@@ -70,4 +70,4 @@ def _middles(way: Float[np.ndarray, " n"], poses: Float[np.ndarray, "n 3"], k: i
         return []
     passes = np.split(near, np.flatnonzero(np.diff(way[near]) > _GAP) + 1)
     nearest = sorted((float(distance[p].min()), int(p[np.argmin(distance[p])])) for p in passes)[:_PASSES]
-    return [c - c % 2 for _, c in nearest]
+    return [c - 1 if c % 2 and way[c] - way[c - 1] < _GAP else c for _, c in nearest]
