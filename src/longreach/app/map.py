@@ -236,11 +236,16 @@ def _check(
         raise MappingError("There is no recording to map; give one at least.")
     if truth is not None and len(recordings) > 1:
         raise MappingError("A truth is of one recording; map one at a time to compare with it.")
-    for recording in recordings:
-        if len(recording.scans) < 2:
-            raise MappingError(
-                f"{recording.name} has {len(recording.scans)} scans; a map takes a LIDAR's, two at least."
-            )
+    for k, recording in enumerate(recordings):
+        n = len(recording.scans)
+        if n < 2:
+            what = "1 scan" if n == 1 else "no scans"
+            raise MappingError(f"{recording.name} has {what}; a map takes two scans of a LIDAR at least.")
+        for other in recordings[:k]:
+            if other.scans[0].stamp == recording.scans[0].stamp and np.array_equal(
+                other.scans[0].ranges, recording.scans[0].ranges, equal_nan=True
+            ):
+                raise MappingError(f"{recording.name} is there twice; give each recording once.")
         if add_to is not None:
             laser = sensor_mount(recording, robot, "lidar")
             sessions.check_robot(add_to, robot.name, recording.scans[0], laser)

@@ -79,8 +79,8 @@ class Place:
     @cached_property
     def local_map(self) -> LocalMap:
         """The surfaces of all, merged."""
-        placed = zip(self.keyframes, self.poses, strict=True)
-        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in placed])
+        parts = zip(self.keyframes, self.poses, strict=True)
+        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in parts])
 
     @cached_property
     def joined(self) -> Features:
