@@ -3,6 +3,8 @@
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import Estimate, estimate
 from longreach.app.evaluate import evaluate
+from longreach.app.map import build_map
+from longreach.app.map_outputs import write_map
 from longreach.app.outputs import write_estimate
 from longreach.configuration import ConfigurationTrajectory, TaskReport
 from longreach.control.hardware import Command, Hardware, Readings
@@ -13,6 +15,7 @@ from longreach.live.client.client import connect
 from longreach.live.protocol.frames import lookup
 from longreach.localization.config import LocalizerConfig
 from longreach.localization.localizer import Localizer
+from longreach.mapping.map_file import Map, load_map, save_map
 from longreach.measurement import (
     Imu,
     JointState,
@@ -48,6 +51,7 @@ __all__ = [
     "Localizer",
     "LocalizerConfig",
     "LongreachError",
+    "Map",
     "MobileManipulator",
     "Odometry",
     "PoseMeasurement",
@@ -61,18 +65,22 @@ __all__ = [
     "WheelSpeeds",
     "WheelTicks",
     "__version__",
+    "build_map",
     "connect",
     "estimate",
     "evaluate",
+    "load_map",
     "load_robot",
     "lookup",
     "make_recording",
     "plan",
     "read_recording",
+    "save_map",
     "solve_ik",
     "solve_priority",
     "thesis_problem",
     "write_estimate",
+    "write_map",
 ]
 
 __version__: str

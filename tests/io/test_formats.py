@@ -7,6 +7,8 @@ import pytest
 from longreach.errors import RecordingError
 from longreach.io.formats import MCAP_MAGIC, bag_files, recording_format
 
+RAWLOG = gzip.compress(b"\x8fCSensoryFrame\x02", mtime=0)
+
 
 def made(path, content=b"text"):
     path.parent.mkdir(exist_ok=True)
@@ -86,8 +88,12 @@ EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.rawlog", gzip.compress(b"\x8fCSensoryFrame\x02", mtime=0), "an MRPT rawlog, .*; convert it to a bag or an MCAP"),
-        ("a.bin", gzip.compress(b"\x8fCSensoryFrame\x02", mtime=0), "an MRPT rawlog"),
+        (
+            "a.rawlog",
+            RAWLOG,
+            "an MRPT rawlog, .*; convert it to a bag or an MCAP",
+        ),
+        ("a.bin", RAWLOG, "an MRPT rawlog"),
         ("a.bin", b"\x9bmrpt::obs::CActionCollection", "an MRPT rawlog"),
         ("a.g2o", b"# a graph\n", "a g2o pose graph, .*; it holds poses and no readings of sensors"),
         ("a.txt", b"VERTEX_SE2 0 0 0 0\n", "a g2o pose graph"),

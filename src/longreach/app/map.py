@@ -1,33 +1,23 @@
-"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like a paper's method section."""
+"""Mapping: recordings in, a map and optimised trajectories out. `build_map` reads like a paper's method section."""
 
-import csv
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from longreach.app.configuration import EstimateConfig
-from longreach.app.estimate import localized, sensor_mount
+from longreach.app.estimate import Done, localized, sensor_mount
 from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate
-from longreach.app.outputs import comparison_figures, write_trajectories
-from longreach.app.results import write_results
-from longreach.errors import MappingError
-from longreach.evaluation import scan_map, style
+from longreach.errors import LongreachError, MappingError
 from longreach.evaluation.relations import long_relation_metrics
-from longreach.evaluation.report import CAPTIONS
 from longreach.evaluation.tables import metric
-from longreach.io.config import to_yaml
-from longreach.io.whole_files import whole_folder
 from longreach.localization.config import filter_for
-from longreach.mapping import loop_closure, mapper, solver
-from longreach.mapping.g2o import write_g2o
+from longreach.mapping import loop_closure, mapper, sessions, solver
 from longreach.mapping.loop_closure import Match
-from longreach.mapping.map_file import Map, Session, save_map
+from longreach.mapping.map_file import Map, Session
 from longreach.mapping.mapper import MapperState, PathRow
-from longreach.mapping.occupancy import render, write_map_server
 from longreach.mapping.refinement import refined
 from longreach.measurement import Recording
 from longreach.robot.description import RobotDescription
@@ -35,200 +25,275 @@ from longreach.robot.mobile_manipulator import MobileManipulator, description_of
 from longreach.trajectory import PoseTrajectory
 
 _BLOCK = 500  # scans between two reports of progress
-_CAPTIONS = {
-    **CAPTIONS,
-    "map": "Every laser return, laid along the optimised path. Lines join the keyframes of closures that were taken, "
-    "refused, or wait for another that agrees.",
-}
-_STATUS = {"accepted": style.GREEN, "refused": style.PURPLE, "waiting": style.ORANGE, "withdrawn": style.BLACK}
+STATUSES = ("accepted", "refused", "waiting", "withdrawn")
 
 
 class Closure(NamedTuple):
-    """A match to a place of before, what became of it, and why: accepted, refused, waiting or withdrawn."""
+    """A match to a place of before, what became of it, and why: accepted, refused, waiting or withdrawn.
+
+    stamps: of both keyframes as recorded [s]. chi2: of its residual in the map as solved, with 3 degrees of freedom.
+    """
 
     match: Match
+    stamps: tuple[float, float]
     status: str
     reason: str
+    chi2: float
 
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What mapping gives: the map, the closures that were tried, and trajectories with what they are worth.
+    """One recording, and what mapping made of it.
 
-    trajectories: `mapped` at every scan stamp, and `fused`, the localizer's own path, for comparison.
+    first: its first keyframe in the map, None where nothing joins it with the map: it is left out then. closures: all
+    matches that were tried. evaluation: trajectories `mapped` at every scan stamp, and `fused`, the localizer's own.
     """
 
     recording: Recording
-    robot: RobotDescription
-    config: EstimateConfig
-    map: Map
+    first: int | None
     closures: tuple[Closure, ...]
     evaluation: Evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltMap(Map):
+    """A map that was just built, with what it was made of: a `Mapped` for each recording, in their order."""
+
+    robot: RobotDescription
+    config: EstimateConfig
+    parts: tuple[Mapped, ...]
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The names of recordings that nothing joins with the map."""
+        return tuple(part.recording.name for part in self.parts if part.first is None)
+
+    @property
+    def trajectories(self) -> Mapping[str, PoseTrajectory]:
+        """`mapped` and `fused`, of a second recording `mapped_2` and `fused_2`, and so on."""
+        return {name: path for e in self._evaluations for name, path in e.trajectories.items()}
 
     @property
     def metrics(self) -> Metrics:
         """How good each trajectory is, and `map`: how many keyframes and closures there are."""
-        return self.evaluation.metrics
+        counts = Counter(closure.status for part in self.parts for closure in part.closures)
+        found = {"keyframes": metric(len(self.scans), ""), "sessions": metric(len(self.sessions), "")}
+        found |= {f"closures_{status}": metric(counts[status], "") for status in STATUSES}
+        return {name: one for e in self._evaluations for name, one in e.metrics.items()} | {"map": found}
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was left out, repaired or refused, a sentence each."""
+        said = [
+            f"{name} is left out of the map: no {mapper.JOIN} of its places, over {mapper.JOIN_WAY:g} m of path, fit "
+            "the map at one place alone and agree with each other. It may be of another building."
+            for name in self.left_out
+        ]
+        for part in self.parts:
+            of = f"{part.recording.name}: " if len(self.parts) > 1 else ""
+            said += [of + remark for remark in (*part.evaluation.remarks, *_remarks(part))]
+        return tuple(said)
+
+    @property
+    def _evaluations(self) -> list[Evaluation]:
+        return [numbered(part.evaluation, k) for k, part in enumerate(self.parts)]
 
 
 def build_map(
-    recording: Recording,
+    recordings: Recording | Sequence[Recording],
     robot: RobotDescription | MobileManipulator,
     config: EstimateConfig | None = None,
     *,
+    add_to: Map | None = None,
     truth: PoseTrajectory | None = None,
     relations: Relations | None = None,
     progress: Progress | None = None,
-) -> Mapped:
-    """Map where a recording went; the map begins at the identity.
+) -> BuiltMap:
+    """Map where recordings went; the map begins at the identity, where the first of them does.
 
-    Arguments: as of `estimate`.
+    Each further recording is a session of its own, and joined with the map where loop closures show that it is of the
+    same place, and else left out: see `BuiltMap.left_out`.
+
+    Arguments:
+        add_to: a map that is there already, as of `load_map`; it is not changed. truth: of the only recording; None
+        takes each recording's own, where it has one. relations: between stamps of one recording. Others: as of
+        `estimate`.
 
     Raises:
-        MappingError: there are fewer than two scans. EstimationError: a source that was asked for is not there.
+        MappingError: a recording has fewer than two scans, is in the map already, or has another laser than the map.
+        EstimationError: a source that was asked for is not there.
     """
+    recordings = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
     robot, config = description_of(robot), config or EstimateConfig()
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
-    if len(recording.scans) < 2:
-        raise MappingError(f"{recording.name} has {len(recording.scans)} scans; a map takes a LIDAR's, two at least.")
+    _check(recordings, robot, add_to, truth, relations)
 
-    done = localized(recording, robot, config, tell)
+    done = [localized(recording, robot, config, tell) for recording in recordings]
+    map_, states, held = add_to, dict[int, MapperState](), dict[int, set[int]]()
+    while True:  # what nothing joins with the map may be joined once another recording is
+        before, left = map_, [k for k in range(len(done)) if k not in states or not states[k].is_joined]
+        for k in left:
+            map_, states[k], held[k] = _added(map_, done[k], robot, tell)
+        if map_ is before or before is add_to is None or all(state.is_joined for state in states.values()):
+            break
+    assert map_ is not None
+    tell("evaluation", 0.0)
+    solved = solver.optimize(map_.graph, map_.weights)
+    parts = [
+        _judged(done[k], states[k], held[k], solved, map_.stamps, truth, relations, config) for k in range(len(done))
+    ]
+    names = ("graph", "weights", "scans", "twists", "session", "sessions")
+    return BuiltMap(**{name: getattr(map_, name) for name in names}, robot=robot, config=config, parts=tuple(parts))
+
+
+def _added(
+    before: Map | None, done: Done, robot: RobotDescription, tell: Progress
+) -> tuple[Map | None, MapperState, set[int]]:
+    """Add a session to a map, and say which of its matches hold; where nothing joins it, return the map as it was."""
     recording, laser = done.recording, sensor_mount(done.recording, robot, "lidar")
-    scans = recording.scans
-    stamps = {scan.stamp for scan in scans}
-    rows = [PathRow(*row) for row in done.output.rows if row.stamp in stamps]
-    state = mapper.init(laser)
+    if before is not None:
+        sessions.check_robot(before, robot.name, recording.scans[0], laser)
+        sessions.check_new(before, recording.name, recording.scans)
+    start = mapper.init(laser) if before is None else sessions.begin(before, laser)
+    state = _folded(start, recording, _path(done), tell)
+    accepted = [a for a in state.accepted if a not in state.withdrawn]
+    if not state.is_joined:
+        return before, state, set(accepted)
+    edges = mapper.closure_edges([state.matches[a] for a in accepted])
+    solved = refined(state.keyframes, state.poses, edges, lambda fraction: tell("refinement", fraction))
+    held = {a for a, weight in zip(accepted, solved.weights, strict=False) if weight > 0.5}  # they come first
+    frames = {k.scan.frame for k in state.keyframes[state.first :]}
+    session = Session(recording.name, robot.name, {frame: laser for frame in frames}, robot.model_dump(mode="json"))
+    return sessions.map_of(solved, state, session, before), state, held
+
+
+def _path(done: Done) -> list[PathRow]:
+    stamps = {scan.stamp for scan in done.recording.scans}
+    return [PathRow(*row) for row in done.output.rows if row.stamp in stamps]
+
+
+def _folded(state: MapperState, recording: Recording, rows: Sequence[PathRow], tell: Progress) -> MapperState:
     for i in range(0, len(rows), _BLOCK):
         tell("loop closure", i / len(rows))
         low, high = rows[i].stamp, rows[min(i + _BLOCK, len(rows)) - 1].stamp
-        state = mapper.step(state, [s for s in scans if low <= s.stamp <= high], rows[i : i + _BLOCK])
-    state = mapper.settled(state)
-    held = [a for a in state.accepted if a not in state.withdrawn]
-    edges = mapper.closure_edges([state.matches[a] for a in held])
-    solved = refined(state.keyframes, state.poses, edges, lambda fraction: tell("refinement", fraction))
-    accepted = {a for a, weight in zip(held, solved.weights, strict=False) if weight > 0.5}  # they come first
+        scans = [scan for scan in recording.scans if low <= scan.stamp <= high]
+        state = mapper.step(state, scans, rows[i : i + _BLOCK])
+    return mapper.settled(state)
 
-    tell("evaluation", 0.0)
-    poses, covariances = mapper.on_map(state.keyframes, solved.poses, solver.marginals(solved), rows)
+
+def _judged(
+    done: Done,
+    state: MapperState,
+    held: set[int],
+    solved: solver.Solved,
+    stamps: np.ndarray,
+    truth: PoseTrajectory | None,
+    relations: Relations | None,
+    config: EstimateConfig,
+) -> Mapped:
+    """Hold a session's trajectories against what references there are.
+
+    held: the matches that have weight in the end; stamps: of the map's keyframes [s].
+    """
+    recording, rows = done.recording, _path(done)
     clock = np.array([row.stamp for row in rows])
     recorded, fused = recording.as_recorded(clock), np.array([row.pose for row in rows])
-    trajectories = {
-        "mapped": PoseTrajectory(recorded, poses, covariances, clock),
-        "fused": PoseTrajectory(recorded, fused, np.array([row.covariance for row in rows]), clock),
-    }
-    evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    closures = _closures(state, accepted)
-    evaluation = replace(
-        evaluation,
-        metrics=_with_counts(evaluation, state, closures),
-        remarks=(*recording.remarks, *done.remarks, *evaluation.remarks, *_remarks(closures)),
+    own, trajectories = slice(state.first, len(state.keyframes)), {}
+    if state.is_joined:
+        path = mapper.on_map(state.keyframes[own], solved.poses[own], solver.marginals(solved)[own], rows)
+        trajectories["mapped"] = PoseTrajectory(recorded, *path, clock)
+    trajectories["fused"] = PoseTrajectory(recorded, fused, np.array([row.covariance for row in rows]), clock)
+    within = _within(relations, recorded)
+    evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, within, config.evaluation)
+    metrics = {name: dict(one) for name, one in evaluation.metrics.items()}
+    for name, errors in evaluation.relation_errors.items():
+        metrics[name] |= long_relation_metrics(errors)
+    remarks = (*recording.remarks, *done.remarks, *evaluation.remarks)
+    new = recording.as_recorded(np.array([k.stamp for k in state.keyframes[own]]))
+    closures = _closures(
+        state, held, solved.poses if state.is_joined else state.poses, np.concatenate([stamps[: own.start], new])
     )
-    value = _map_of(recording, robot, laser, state, solved)
-    return Mapped(recording, robot, config, value, closures, evaluation)
+    first = state.first if state.is_joined else None
+    return Mapped(recording, first, closures, replace(evaluation, metrics=metrics, remarks=remarks))
 
 
-def _map_of(
-    recording: Recording, robot: RobotDescription, laser: np.ndarray, state: MapperState, solved: solver.Solved
-) -> Map:
-    frames = {k.scan.frame for k in state.keyframes}
-    session = Session(recording.name, robot.name, {frame: laser for frame in frames}, robot.model_dump(mode="json"))
-    n = len(state.keyframes)
-    scans, twists = tuple(k.scan for k in state.keyframes), np.array([k.twist for k in state.keyframes])
-    return Map(solved.graph, solved.weights, scans, twists, np.zeros(n, dtype=int), (session,))
-
-
-def _closures(state: MapperState, accepted: set[int]) -> tuple[Closure, ...]:
-    """Return what became of each match; accepted: those that have weight in the end."""
+def _closures(state: MapperState, held: set[int], poses: np.ndarray, stamps: np.ndarray) -> tuple[Closure, ...]:
+    """Return what became of each match, where keyframes are at poses (n, 3); held: those with weight in the end."""
     found = []
+    chi2 = loop_closure.chi2_of(state.matches, poses)
     for a, match in enumerate(state.matches):
-        if a in accepted:
-            found.append(Closure(match, "accepted", ""))
+        if a in held:
+            became = "accepted", ""
         elif a in state.accepted:
-            found.append(Closure(match, "withdrawn", "Other closures contradict it."))
+            became = "withdrawn", "Other closures contradict it."
         elif match.gate:
-            found.append(Closure(match, "refused", loop_closure.reason_of(match)))
+            became = "refused", loop_closure.reason_of(match)
         else:
-            found.append(Closure(match, "waiting", "No other closure near by agrees with it."))
+            became = "waiting", "No other closure near by agrees with it."
+        found.append(Closure(match, (float(stamps[match.i]), float(stamps[match.j])), *became, float(chi2[a])))
     return tuple(found)
 
 
-def _with_counts(evaluation: Evaluation, state: MapperState, closures: tuple[Closure, ...]) -> Metrics:
-    """Add errors of long relations to the metrics, and how many keyframes and closures there are."""
-    found = {name: dict(one) for name, one in evaluation.metrics.items()}
-    for name, errors in evaluation.relation_errors.items():
-        found[name] |= long_relation_metrics(errors)
-    counts = Counter(c.status for c in closures)
-    found["map"] = {"keyframes": metric(len(state.keyframes), "")}
-    found["map"] |= {f"closures_{status}": metric(counts[status], "") for status in _STATUS}
-    return found
+def _check(
+    recordings: Sequence[Recording],
+    robot: RobotDescription,
+    add_to: Map | None,
+    truth: PoseTrajectory | None,
+    relations: Relations | None,
+) -> None:
+    """Say before long work what cannot be mapped."""
+    if not recordings:
+        raise MappingError("There is no recording to map; give one at least.")
+    if truth is not None and len(recordings) > 1:
+        raise MappingError("A truth is of one recording; map one at a time to compare with it.")
+    for k, recording in enumerate(recordings):
+        n = len(recording.scans)
+        if n < 2:
+            what = "1 scan" if n == 1 else "no scans"
+            raise MappingError(f"{recording.name} has {what}; a map takes two scans of a LIDAR at least.")
+        for other in recordings[:k]:
+            if other.scans[0].stamp == recording.scans[0].stamp and np.array_equal(
+                other.scans[0].ranges, recording.scans[0].ranges, equal_nan=True
+            ):
+                raise MappingError(f"{recording.name} is there twice; give each recording once.")
+        if add_to is not None:
+            laser = sensor_mount(recording, robot, "lidar")
+            sessions.check_robot(add_to, robot.name, recording.scans[0], laser)
+            sessions.check_new(add_to, recording.name, recording.scans)
+    recorded = [r.as_recorded(np.array([scan.stamp for scan in r.scans])) for r in recordings]
+    if relations is not None and all(_within(relations, stamps) is None for stamps in recorded):
+        raise LongreachError("No relation has both stamps within a recording; are they of this one?")
 
 
-def _remarks(closures: tuple[Closure, ...]) -> list[str]:
-    if not any(c.status == "accepted" for c in closures):
+def _within(relations: Relations | None, stamps: np.ndarray) -> Relations | None:
+    """Return the relations with both stamps within a recording's, None where there are none."""
+    if relations is None:
+        return None
+    first, second, _ = relations
+    low, high = stamps.min(), stamps.max()
+    inside = (np.minimum(first, second) >= low) & (np.maximum(first, second) <= high)
+    return Relations(*(column[inside] for column in relations)) if np.any(inside) else None
+
+
+def numbered(evaluation: Evaluation, k: int) -> Evaluation:
+    """Return the evaluation of recording k with names that say which one it is of: none of the first, _2 and so on."""
+    if k == 0:
+        return evaluation
+
+    def named(values: Mapping) -> dict:
+        return {f"{name}_{k + 1}": value for name, value in values.items()}
+
+    e = evaluation
+    return replace(
+        e,
+        trajectories=named(e.trajectories),
+        metrics=named(e.metrics),
+        relation_errors=named(e.relation_errors),
+    )
+
+
+def _remarks(part: Mapped) -> list[str]:
+    if part.first is not None and not any(closure.status == "accepted" for closure in part.closures):
         return ["No loop was closed: the map is only as good as odometry."]
     return []
-
-
-def write_map(mapped: Mapped, out: Path, progress: Progress | None = None) -> None:
-    """Write trajectories, the map in its three forms, closures, metrics, figures and a page, whole or not at all."""
-    tell = progress or (lambda stage, fraction: None)
-    e = mapped.evaluation
-    with whole_folder(out) as folder:
-        tell("map", 0.0)
-        write_trajectories(folder, e.trajectories)
-        save_map(folder / "map.lrmap", mapped.map)
-        write_map_server(folder / "map.pgm", render(mapped.map))
-        write_g2o(folder / "graph.g2o", mapped.map.graph, mapped.map.weights)
-        _write_closures(folder / "closures.csv", mapped)
-        (folder / "robot.yaml").write_text(to_yaml(mapped.robot), encoding="utf-8")
-        drawn = {"map": lambda: _map_figure(mapped)} | comparison_figures(e)
-        counts = Counter(c.status for c in mapped.closures)
-        introduction = (
-            f"Robot {mapped.robot.name}: {len(mapped.recording.scans)} scans, {len(mapped.map.scans)} keyframes; "
-            + ", ".join(f"{counts[status]} closures {status}" for status in _STATUS)
-            + "."
-        )
-        config = to_yaml(mapped.config)
-        write_results(
-            folder,
-            f"Map of {mapped.recording.name}",
-            introduction,
-            e.metrics,
-            drawn,
-            config,
-            tell,
-            e.remarks,
-            _CAPTIONS,
-        )
-
-
-def _write_closures(path: Path, mapped: Mapped) -> None:
-    """Write a row a match: both stamps as recorded, relative pose, covariance, what became of it, and its evidence."""
-    stamps = mapped.recording.as_recorded(mapped.map.stamps)
-    names = ("xx", "xy", "xt", "yy", "yt", "tt")
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        head = ["stamp_1", "stamp_2", "x", "y", "theta", *(f"covariance_{name}" for name in names)]
-        writer.writerow([*head, "status", "gate", "reason", *loop_closure.Evidence._fields])
-        for match, status, reason in mapped.closures:
-            numbers = [*match.pose.tolist(), *match.covariance[np.triu_indices(3)].tolist()]
-            ends = [repr(float(stamps[end])) for end in (match.i, match.j)]
-            evidence = [f"{value:.4g}" for value in match.evidence]
-            writer.writerow([*ends, *(f"{x:.9g}" for x in numbers), status, match.gate, reason, *evidence])
-
-
-def _map_figure(mapped: Mapped) -> Figure:
-    """Draw the returns along the optimised path, and lines between the keyframes of closures."""
-    path = mapped.evaluation.trajectories["mapped"]
-    on_clock = replace(path, stamps=path.clock)
-    points = scan_map.scan_points(on_clock, mapped.map.scans, sensor_mount(mapped.recording, mapped.robot, "lidar"))
-    fig = scan_map.scan_map(path, points, name="mapped")
-    axes, at = fig.axes[0], mapped.map.graph.poses[:, :2]
-    for status, colour in _STATUS.items():
-        ends = np.array([(c.match.i, c.match.j) for c in mapped.closures if c.status == status]).reshape(-1, 2)
-        if len(ends):
-            lines = np.concatenate([at[ends], np.full((len(ends), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-            axes.plot(*lines.T, color=colour, linewidth=0.9, alpha=0.8, label=f"{status} ({len(ends)})")
-    style.legend_above(axes)
-    return fig

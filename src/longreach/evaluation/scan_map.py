@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longreach.evaluation import style
@@ -46,7 +47,7 @@ def _corners(path: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.stack((low - margin, high + margin))
 
 
-def _density(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _shades(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Count the points per cell (rows are y) and return log shades from 0, white, to 1, black."""
     side = corners[1] - corners[0]
     cell = max(float(np.max(side)) / _CELLS, _SMALLEST_CELL)
@@ -65,20 +66,26 @@ def scan_map(
     trajectory: PoseTrajectory, points: Float[np.ndarray, "n 2"], title: str = "", name: str = "fused"
 ) -> Figure:
     """Draw laser points [m] as a density, darker where more fell, and the path they were laid along over it."""
-    corners = _corners(trajectory.poses[:, :2], points)
-    fig = style.figure(style.plane_height(corners), title)
-    axes = style.panel(fig.add_subplot(), "x [m]", "y [m]")
-    axes.grid(visible=False)
-    (left, bottom), (right, top) = corners.tolist()
-    shades = _density(points, corners)
-    axes.imshow(
-        shades, cmap="Greys", vmin=0, vmax=1, origin="lower", extent=(left, right, bottom, top), interpolation="nearest"
-    )
+    fig, axes = density(points, trajectory.poses[:, :2], title)
     x, y = style.thin(trajectory.poses[:, 0], trajectory.poses[:, 1])
     look = style.looks({name: None})[name]
     axes.plot(x, y, color=look.colour, linewidth=1.0, label=f"path: {look.label}")
     style.mark_start(axes, trajectory.poses)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0)
     style.legend_above(axes)
     return fig
+
+
+def density(
+    points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, "k 2"], title: str = "", darkest: float = 1.0
+) -> tuple[Figure, Axes]:
+    """Draw points [m] as a density, darker where more fell, in axes with room for the positions `along` as well."""
+    corners = _corners(along, points)
+    fig = style.figure(style.plane_height(corners), title)
+    axes = style.panel(fig.add_subplot(), "x [m]", "y [m]")
+    axes.grid(visible=False)
+    (left, bottom), (right, top) = corners.tolist()
+    shades, extent = darkest * _shades(points, corners), (left, right, bottom, top)
+    axes.imshow(shades, cmap="Greys", vmin=0, vmax=1, origin="lower", extent=extent, interpolation="nearest")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0)
+    return fig, axes

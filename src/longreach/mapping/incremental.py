@@ -63,6 +63,20 @@ def begin(state: State, pose: Float[np.ndarray, "3"]) -> State:
     return _solved(solver.optimize(more, state.weights), state.probability)
 
 
+def moved(state: State, first: int, motion: Float[np.ndarray, "3"]) -> State:
+    """Move the keyframes from `first` on by a rigid motion (3,) on the map; nothing joins them with those before."""
+    graph, poses = state.graph, state.poses.copy()
+    poses[first:] = se2.compose(np.broadcast_to(motion, poses[first:].shape), poses[first:])
+    solved = solver.optimize(PoseGraph(poses, graph.odometry, graph.closures), state.weights)
+    return _solved(solved, state.probability)
+
+
+def is_joined(state: State, i: int, j: int) -> bool:
+    """Whether edges join two keyframes, as the graph was last solved."""
+    part, last = state.solved.factor.part, len(state.solved.poses) - 1
+    return bool(part[min(i, last)] == part[min(j, last)])
+
+
 def step(state: State, odometry: Edges | None = None, closures: Edges | None = None) -> State:
     """Add keyframes with their odometry, and closures.
 

@@ -29,6 +29,7 @@ DISTANCE, TURNED = 0.5, math.radians(20.0)  # between keyframes [m, rad]
 DRIFT = np.array([0.01**2, 0.01**2, math.radians(0.2) ** 2])
 # The part of it that shows from one keyframe to the next: drift is what errors that last over many keyframes add up to.
 LOCAL = 0.1
+BETWEEN_SESSIONS = 1000.0  # [m] of way, so that none of one is taken for a neighbour of another
 _MOST = 20  # keyframes on either side in a place
 _DEFAULTS = LidarConfig()
 MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
@@ -39,8 +40,9 @@ class Keyframe:
     """A scan that was taken at the pose `odom` (3,) in the frame odom.
 
     twist (3,): of the base during the sweep [m/s, m/s, rad/s]. covariance (3, 3): of ξ of the motion since the last
-    keyframe, with all drift; local_covariance: with what shows of it between neighbours. way [m]: along the path from
-    the start. features: of the scan, in the base's frame.
+    keyframe, with all drift, 0 of the first one of a session, which odometry does not join with the one before;
+    local_covariance: with what shows of it between neighbours. way [m]: along the path from the start; a session begins
+    far from the last one's end. features: of the scan, in the base's frame.
     """
 
     scan: LaserScan
@@ -109,6 +111,20 @@ class Place:
         return Features(values, values.shape[1], noise, reach)
 
 
+def regions_of(keyframes: Sequence[Keyframe], poses: Float[np.ndarray, "n 3"], reach: float) -> tuple[LocalMap, ...]:
+    """Return local maps in the frame of the map, where keyframes are at poses (n, 3): each has one within reach [m]."""
+    seen = [k.surfaces for k in keyframes]
+    on_map = [local_map.Keyframe(pose, s.elements, s.noise) for pose, s in zip(poses, seen, strict=True)]
+    left, found = list(range(len(on_map))), []
+    while left:
+        centre = poses[left[0], :2]
+        far = np.hypot(*(poses[:, :2] - centre).T)
+        around = [*np.flatnonzero(far < 1.5 * reach).tolist(), left[0]]  # with what can be seen from its edge
+        found.append(local_map.merged([on_map[k] for k in around], len(around), np.inf))
+        left = [k for k in left if far[k] > reach - 3.0]
+    return tuple(found)
+
+
 def motion_covariance(
     before: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     after: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
@@ -124,6 +140,11 @@ def motion_covariance(
     values, vectors = np.linalg.eigh(0.5 * (more + more.T))
     more, drift = vectors * np.maximum(values, 0.0) @ vectors.T, np.diag(DRIFT * max(way, 0.01))
     return more + drift, more + LOCAL * drift
+
+
+def with_all_drift(local: Float[np.ndarray, "3 3"], way: float) -> Float[np.ndarray, "3 3"]:
+    """Return the covariance of a motion over a way [m] with all drift, from the local one."""
+    return local + (1.0 - LOCAL) * np.diag(DRIFT * max(way, 0.01))
 
 
 def place_of(keyframes: Sequence[Keyframe], rows: Int[np.ndarray, " k"], poses: Float[np.ndarray, "k 3"]) -> Place:
@@ -144,10 +165,11 @@ def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float
 
 
 def local_edges(keyframes: Sequence[Keyframe]) -> Edges:
-    """Return the edges from each keyframe to the next, with their local covariance."""
-    n, odom = len(keyframes), np.array([k.odom for k in keyframes])
-    covariance = np.array([k.local_covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
-    return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
+    """Return the edges from each keyframe to the next one of its session, with their local covariance."""
+    odom = np.array([k.odom for k in keyframes])
+    j = np.array([k for k in range(1, len(keyframes)) if keyframes[k].covariance.any()], dtype=int)
+    covariance = np.array([keyframes[k].local_covariance for k in j]).reshape(-1, 3, 3)
+    return Edges(j - 1, j, se2.between(odom[j - 1], odom[j]), covariance)
 
 
 def odometry_between(keyframes: Sequence[Keyframe], i: int, j: int) -> Edge:

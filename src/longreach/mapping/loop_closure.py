@@ -9,7 +9,7 @@ A match that fails a gate keeps the reason. What passes is a closure only with o
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,6 +28,9 @@ CHI2 = 16.27  # 99.9 % of χ² with 3 degrees of freedom
 APART = 1.0  # [m] between two peaks, and 1/3 rad: places that look the same are further apart
 _CELL = map_kernels.CELL  # [m] of the search
 _POINTS = 160  # of the joined scans that take part in the search, about
+REGION = 30.0  # [m] from the middle of a region to its edge, of a map that is searched as a whole
+_ANYWHERE = np.diag([(REGION / WINDOW) ** 2, (REGION / WINDOW) ** 2, 10.0**2])
+_CLEAR = 0.5  # agreement of a peak on a whole map
 _BEAMS = 200  # that are followed through a map
 _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of it
 _ROUNDING = np.diag([_CELL**2, _CELL**2, 0.02**2])  # of the search, which the window grows by
@@ -191,6 +194,60 @@ def compared(
     if not math.isfinite(fit.scale) or not np.isfinite(evidence.chi2):
         return None
     return Match(place.middle, now.middle, fit.pose, found, evidence, gate_of(evidence))
+
+
+def found_anywhere(
+    regions: Sequence[LocalMap],
+    now: Place,
+    nearest: Callable[[Float[np.ndarray, "3"]], tuple[Place, Float[np.ndarray, "3"]]],
+) -> Match | None:
+    """Look for now on a whole map, of which regions show a part each, in the frame of the map.
+
+    nearest: as of `compared`, for poses on the map. What is blind in a direction may be anywhere along it, and is not
+    unique. Returns None where nothing on the map agrees well.
+    """
+    scan, peak = now.joined, None
+    points = sampled(scan)
+    for region in regions:
+        searched = Window(region, points, np.array([*region.poses[-1, :2], 0.0]), _ANYWHERE)
+        peak = searched.best(_CLEAR if peak is None else peak.agreement) or peak
+    if peak is None:
+        return None
+    place, middle = nearest(peak.pose)
+    fit = fitted(scan, place.local_map, se2.between(middle, peak.pose), np.full(3, 100.0))
+    if fit.rows == 0 or not math.isfinite(fit.scale):
+        return None
+    overlap = fit.rows / scan.count
+    evidence = Evidence(
+        peak.agreement, 0.0, overlap, fit.inlier_ratio / max(overlap, 1e-9),
+        seen_through(scan, place.local_map, fit.pose),
+        seen_through(place.keyframes[-1].features, now.local_map, se2.inverse(fit.pose)),
+        0.0, len(fit.directions), REGION,
+    )  # fmt: skip
+    if not gate_of(evidence):
+        evidence = evidence._replace(second=_second_anywhere(regions, points, peak) if not len(fit.directions) else 1.0)
+    covariance = covariance_of(fit, scan.reach) + now.bending + place.bending
+    return Match(place.middle, now.middle, fit.pose, covariance, evidence, gate_of(evidence))
+
+
+def _second_anywhere(regions: Sequence[LocalMap], points: np.ndarray, peak: Peak) -> float:
+    """Return the best agreement elsewhere on a map, 0 where it is far below the peak's."""
+    second = 0.0
+    for region in regions:  # headings about that of the peak: it is then not found again a full turn away
+        searched = Window(region, points, np.array([*region.poses[-1, :2], peak.pose[2]]), _ANYWHERE)
+        other = searched.best(max(second, _UNIQUE * peak.agreement), peak.pose)
+        second = second if other is None else other.agreement
+    return second
+
+
+def chi2_of(matches: Sequence[Match], poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " m"]:
+    """Return ξᵀ Σ⁻¹ ξ of each match, 3 degrees of freedom, where keyframes are at poses (n, 3)."""
+    return np.array(
+        [
+            (xi := se2.difference(m.pose, se2.between(poses[m.i], poses[m.j]))) @ np.linalg.solve(m.covariance, xi)
+            for m in matches
+        ]
+    )
 
 
 def gate_of(e: Evidence) -> str:

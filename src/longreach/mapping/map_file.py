@@ -80,12 +80,13 @@ class Map:
         return np.array([scan.stamp for scan in self.scans])
 
 
-def save_map(path: Path, value: Map) -> None:
+def save_map(path: str | Path, value: Map) -> None:
     """Write a map, whole or not at all; the same map gives the same bytes.
 
     Raises:
         LongreachError: nothing can be written there.
     """
+    path = Path(path)
     members = {"keyframes.npz": _packed(_keyframe_arrays(value)), "graph.npz": _packed(_graph_arrays(value))}
     head = {
         "format": _FORMAT,
@@ -109,12 +110,13 @@ def save_map(path: Path, value: Map) -> None:
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
 
 
-def load_map(path: Path) -> Map:
+def load_map(path: str | Path) -> Map:
     """Read a map of this version or an older one.
 
     Raises:
         MappingError: the file is not there, is no map, is cut short or damaged, or of a later version.
     """
+    path = Path(path)
     try:
         with zipfile.ZipFile(path) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}

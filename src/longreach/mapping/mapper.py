@@ -7,6 +7,9 @@
     poses      ← robust solution of the graph; closures that it contradicts are withdrawn  `solver`
 
 A recording is a fold of `step`, after which `refined` matches every keyframe to each other pass by it.
+
+On a map of before, nothing is known of where a session begins. It is searched on the whole map then, and joined with it
+by matches that are unique there and agree with each other; from then on the graph knows, and all is as above.
 """
 
 import math
@@ -22,6 +25,7 @@ from longreach.geometry import se2
 from longreach.mapping import incremental, loop_closure
 from longreach.mapping.consistency import cycle_chi2, largest_clique, reversed_edge
 from longreach.mapping.keyframes import (
+    BETWEEN_SESSIONS,
     DISTANCE,
     DRIFT,
     MATCHER,
@@ -32,14 +36,18 @@ from longreach.mapping.keyframes import (
     neighbours,
     odometry_between,
     place_of,
+    regions_of,
     ways,
 )
 from longreach.mapping.loop_closure import CHI2, Match
 from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, innovation_chi2, no_edges
 from longreach.measurement import LaserScan
+from longreach.odometry.local_map import LocalMap
 from longreach.odometry.matchers.scan_matcher import Features
 from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry, share_of_a_beam
 
+_SEEK = 2.0  # [m] of path between searches on a whole map
+JOIN, JOIN_WAY = 3, 6.0  # matches that agree, over so much path [m], join a session with a map
 _EVERY = 1.0, math.radians(60.0)  # between keyframes that look for closures [m, rad]
 _ELSEWHERE = 10.0  # [m] of path between the ends of a closure: nearer, odometry's local map has them both
 _REACH = 3.0  # [m] between poses whose scans show the same surfaces
@@ -71,7 +79,8 @@ class MapperState:
     graph: of the keyframes, None before the first. matches: all that were tried; accepted: which of them are closures,
     of which the first are in the graph and the others wait for it to be solved. waiting: scans whose row has not come.
     last: the row of the last scan; at_keyframe: of the newest keyframe. way [m]: driven so far. looked: way [m] and
-    heading [rad] of the last search.
+    heading [rad] of the last search; sought [m]: the way at the last one on the whole map. first: keyframe of this
+    session, after those of a map; regions: that map, to be searched.
     """
 
     T_base_laser: Float[np.ndarray, "4 4"]
@@ -84,6 +93,9 @@ class MapperState:
     at_keyframe: PathRow | None = None
     way: float = 0.0
     looked: tuple[float, float] = (-math.inf, 0.0)
+    sought: float = -math.inf
+    first: int = 0
+    regions: tuple[LocalMap, ...] = ()
     geometry: ScanGeometry | None = None
     places: dict[int, Place] = field(default_factory=dict)  # a cache: what is in it follows from the keyframes
 
@@ -100,15 +112,33 @@ class MapperState:
         return se2.compose(self.poses[-1], se2.inverse(self.keyframes[-1].odom))
 
     @property
+    def is_joined(self) -> bool:
+        """Whether anything joins this session with the map that it began on; True without one."""
+        if self.graph is None or self.first == 0:
+            return True
+        return len(self.keyframes) > self.first and incremental.is_joined(self.graph, 0, self.first)
+
+    @property
     def withdrawn(self) -> tuple[int, ...]:
         """The accepted matches that the graph as last solved gives no weight."""
         weights = () if self.graph is None else self.graph.weights
         return tuple(a for a, weight in zip(self.accepted, weights, strict=False) if weight < 0.5)
 
 
-def init(T_base_laser: Float[np.ndarray, "4 4"]) -> MapperState:
-    """Start before the first scan."""
-    return MapperState(T_base_laser)
+def init(
+    T_base_laser: Float[np.ndarray, "4 4"], keyframes: tuple[Keyframe, ...] = (), graph: PoseGraph | None = None
+) -> MapperState:
+    """Start before the first scan, or on a map: its keyframes, and its graph with all that is sure as odometry."""
+    if graph is None:
+        return MapperState(T_base_laser)
+    return MapperState(
+        T_base_laser,
+        incremental.init(graph),
+        keyframes,
+        way=keyframes[-1].way + BETWEEN_SESSIONS,
+        first=len(keyframes),
+        regions=regions_of(keyframes, graph.poses, loop_closure.REGION),
+    )
 
 
 def step(state: MapperState, scans: Iterable[LaserScan], rows: Iterable[PathRow]) -> MapperState:
@@ -137,21 +167,24 @@ def _taken(state: MapperState, scan: LaserScan, row: PathRow) -> MapperState:
         if math.hypot(moved[0], moved[1]) < DISTANCE and abs(moved[2]) < TURNED:
             return state
     share = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0
+    twist = twist if share > 0.0 else np.zeros(3)
     motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ twist * (period if share > 0.0 else 0.0)
     state = _with_keyframe(state, row, scan, twist, MATCHER.features(scan, geometry, motion, share))
     turned = abs(math.remainder(row.pose[2] - state.looked[1], 2 * math.pi))
     if way - state.looked[0] < _EVERY[0] and turned < _EVERY[1]:
         return state
-    return _looked(replace(state, looked=(way, float(row.pose[2]))))
+    return _looked(replace(state, looked=(way, float(row.pose[2]))), len(state.keyframes) - 1)
 
 
 def _with_keyframe(
     state: MapperState, row: PathRow, scan: LaserScan, twist: np.ndarray, features: Features
 ) -> MapperState:
     before = state.at_keyframe
-    if before is None or state.graph is None:
+    if state.graph is None:
         first = PoseGraph(row.pose[None], no_edges(), no_edges())
         graph, covariances = incremental.init(first), (np.zeros((3, 3)), np.zeros((3, 3)))
+    elif before is None:
+        graph, covariances = incremental.begin(state.graph, row.pose), (np.zeros((3, 3)), np.zeros((3, 3)))
     else:
         covariances = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
         n, moved = len(state.keyframes), se2.between(before.pose, row.pose)
@@ -194,15 +227,16 @@ class _Candidate(NamedTuple):
     covariance: np.ndarray
 
 
-def _candidates(state: MapperState) -> list[_Candidate]:
-    """Return old keyframes near which the base may be, best known first, apart from each other."""
+def _candidates(state: MapperState, j: int) -> list[_Candidate]:
+    """Return old keyframes near which the base may have been at keyframe j, best known first, apart from each other."""
     assert state.graph is not None
-    way, newest = ways(state.keyframes), state.poses[-1]
-    old = np.flatnonzero(way < way[-1] - _ELSEWHERE)
+    way, newest = ways(state.keyframes), state.poses[j]
+    old = np.flatnonzero(way < way[j] - _ELSEWHERE)
+    S = incremental.relative_covariances(state.graph, old, np.full(len(old), j))
+    old, S = old[np.isfinite(S[:, 0, 0])], S[np.isfinite(S[:, 0, 0])]
     if len(old) == 0:
         return []
     near = np.hypot(*(state.poses[old, :2] - newest[:2]).T)
-    S = incremental.relative_covariances(state.graph, old, np.full(len(old), len(way) - 1))
     back = se2.between(np.broadcast_to(newest, (len(old), 3)), state.poses[old])
     u = back[:, :2] / np.maximum(near, 1e-6)[:, None]
     variance = np.einsum("ka,kab,kb->k", u, S[:, :2, :2], u)
@@ -219,17 +253,16 @@ def _candidates(state: MapperState) -> list[_Candidate]:
     return found
 
 
-def _looked(state: MapperState) -> MapperState:
-    """Look for the newest keyframe in the places of its candidates."""
-    way, j = ways(state.keyframes), len(state.keyframes) - 1
-    candidates = _candidates(state)
-    if not candidates:
-        return state
+def _looked(state: MapperState, j: int) -> MapperState:
+    """Look for keyframe j in the places of its candidates; in a session that is not joined, on the whole map, too."""
+    way = ways(state.keyframes)
     rows = neighbours(way, j, _BEHIND, 0.0)
     now = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
+    if not state.is_joined and way[j] - state.sought >= _SEEK:
+        state = _sought(replace(state, sought=float(way[j])), now)
     matches = list[Match]()
-    for c in candidates:
-        nearest = partial(_nearest, state, c.row)
+    for c in _candidates(state, j):
+        nearest = partial(_nearest, state, j, c.row)
         match = loop_closure.compared(_place(state, c.row), now, c.mean, c.covariance, nearest)
         if match is not None:
             matches.append(match)
@@ -251,10 +284,10 @@ def _only_one(state: MapperState, matches: list[Match]) -> list[Match]:
     ]
 
 
-def _nearest(state: MapperState, c: int, pose: np.ndarray) -> tuple[Place, np.ndarray]:
-    """Return the place of the old keyframe nearest to a pose (3,), and where it is; both as seen from keyframe c."""
+def _nearest(state: MapperState, j: int, c: int, pose: np.ndarray) -> tuple[Place, np.ndarray]:
+    """Return the place of before keyframe j near row c that is nearest to a pose (3,) seen from there, and its pose."""
     way = ways(state.keyframes)
-    near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[-1] - way[q] > _ELSEWHERE]
+    near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[j] - way[q] > _ELSEWHERE]
     seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
     best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
     return _place(state, near[best]), seen[best]
@@ -266,10 +299,10 @@ def _judged(state: MapperState) -> MapperState:
     if match.gate:
         return state
     assert state.graph is not None
-    way = ways(state.keyframes)
+    way, solved = ways(state.keyframes), len(state.graph.solved.poses)
     if match.evidence.window < _SURE:
-        due = way[-1] - way[len(state.graph.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
         state = replace(state, accepted=(*state.accepted, new))
+        due = way[-1] - way[solved - 1] > _RECENT or match.evidence.chi2 > _NEWS
         return _solved(state) if due else state
     near = [a for a in range(new) if not state.matches[a].gate and _beside(way, state.matches[a], match)][-_OTHERS:]
     near.append(new)
@@ -283,8 +316,64 @@ def _judged(state: MapperState) -> MapperState:
     if len(clique) < (3 if way[-1] - closed > _LONG else 2) or max(ends) - min(ends) < _apart(match):
         return state
     taken = [near[a] for a in clique if near[a] not in state.accepted]
-    solved = _solved(replace(state, accepted=(*state.accepted, *taken)))
-    return state if _is_looked_through(solved) else solved
+    more = _solved(replace(state, accepted=(*state.accepted, *taken)))
+    return state if _is_looked_through(more) else more
+
+
+def _sought(state: MapperState, now: Place) -> MapperState:
+    """Look for now on the whole map; where matches agree on where the session is, join it, and look back along it."""
+    match = loop_closure.found_anywhere(state.regions, now, partial(_nearest_on_map, state))
+    if match is None:
+        return state
+    state = replace(state, matches=(*state.matches, match))
+    agreed = [] if match.gate else _agreed_on_map(state)
+    if not agreed:
+        return state
+    assert state.graph is not None
+    motion = se2.compose(se2.compose(state.poses[match.i], match.pose), se2.inverse(state.poses[match.j]))
+    moved = replace(state, graph=incremental.moved(state.graph, state.first, motion))
+    joined = _solved(replace(moved, accepted=(*state.accepted, *agreed)))
+    if not joined.is_joined or _is_looked_through(joined):
+        return state
+    way, last, known = ways(state.keyframes), -math.inf, {state.matches[a].j for a in agreed}
+    for j in range(state.first, match.j):
+        if way[j] - last >= _EVERY[0] and j not in known:
+            joined, last = _looked(joined, j), float(way[j])
+    return _solved(joined)
+
+
+def _nearest_on_map(state: MapperState, pose: np.ndarray) -> tuple[Place, np.ndarray]:
+    """Return the place of the map that is nearest to a pose (3,) on it, and the pose of its middle."""
+    off = se2.between(np.broadcast_to(pose, (state.first, 3)), state.poses[: state.first])
+    c = int(np.argmin(np.hypot(off[:, 0], off[:, 1]) + np.abs(off[:, 2])))  # another heading shares less
+    return _place(state, c), state.poses[c]
+
+
+def _agreed_on_map(state: MapperState) -> list[int]:
+    """Return the matches to the map, the newest one among them, that agree on where this session is; [] if too few.
+
+    They are from several places, and more than those that say otherwise.
+    """
+    assert state.graph is not None
+    graph, way, new = state.graph, ways(state.keyframes), len(state.matches) - 1
+    here = way[state.matches[new].j] - _NEIGHBOURS
+    near = [
+        a for a, m in enumerate(state.matches) if not m.gate and m.i < state.first <= m.j and way[m.j] > here
+    ]  # fmt: skip
+    agree = np.zeros((len(near), len(near)), dtype=bool)
+    for a, one in enumerate(near):
+        for b, other in enumerate(near[:a]):
+            p, q = state.matches[one], state.matches[other]
+            ends = np.array([q.i]), np.array([p.i])
+            S = incremental.relative_covariances(graph, *ends)[0] if q.i != p.i else np.zeros((3, 3))
+            old = se2.between(state.poses[q.i], state.poses[p.i]), S
+            now = odometry_between(state.keyframes, p.j, q.j)
+            chi2 = cycle_chi2((p.pose, p.covariance), now, reversed_edge((q.pose, q.covariance)), old)
+            agree[a, b] = agree[b, a] = chi2 < CHI2
+    clique = [near[a] for a in largest_clique(agree, [len(near) - 1])]
+    span = way[[state.matches[a].j for a in clique]]
+    enough = len(clique) >= JOIN and 2 * len(clique) > len(near) and np.ptp(span) >= JOIN_WAY
+    return clique if enough else []
 
 
 def _apart(match: Match) -> float:
@@ -301,8 +390,9 @@ def settled(state: MapperState) -> MapperState:
     waiting = [a for a, m in enumerate(state.matches) if m.gate in ("", "uniqueness") and a not in state.accepted]
     edges = closure_edges([state.matches[a] for a in waiting])
     S = incremental.relative_covariances(state.graph, edges.i, edges.j)
-    window = loop_closure.WINDOW * np.sqrt(np.linalg.eigvalsh(S[:, :2, :2])[:, -1])
-    good = (innovation_chi2(state.poses, edges, S) < CHI2) & (window < _SURE)
+    known = np.isfinite(S[:, 0, 0])
+    window = loop_closure.WINDOW * np.sqrt(np.linalg.eigvalsh(np.where(known[:, None, None], S, 0.0)[:, :2, :2])[:, -1])
+    good = known & (innovation_chi2(state.poses, edges, S) < CHI2) & (window < _SURE)
     more = tuple(a for a, is_good in zip(waiting, good, strict=True) if is_good)
     return _solved(replace(state, accepted=(*state.accepted, *more))) if more else state
 

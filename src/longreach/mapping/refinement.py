@@ -68,4 +68,4 @@ def _middles(way: Float[np.ndarray, " n"], poses: Float[np.ndarray, "n 3"], k: i
         return []
     passes = np.split(near, np.flatnonzero(np.diff(way[near]) > _GAP) + 1)
     nearest = sorted((float(distance[p].min()), int(p[np.argmin(distance[p])])) for p in passes)[:_PASSES]
-    return [c - c % 2 for _, c in nearest]
+    return [c - 1 if c % 2 and way[c] - way[c - 1] < _GAP else c for _, c in nearest]

@@ -71,12 +71,12 @@ def keyframe(features: Features, pose: Float[np.ndarray, "3"]) -> Keyframe:
     return Keyframe(pose, elements[:n].copy(), features.noise)
 
 
-def merged(keyframes: Sequence[Keyframe]) -> LocalMap:
-    """Merge the surfaces of keyframes, as many and as near to the newest as a map takes."""
-    poses = np.array([k.pose for k in keyframes[-_MOST:]])
+def merged(keyframes: Sequence[Keyframe], most: int = _MOST, farthest: float = _FARTHEST) -> LocalMap:
+    """Merge the surfaces of the last keyframes, no further [m] from the newest; it is in the middle of the map."""
+    poses = np.array([k.pose for k in keyframes[-most:]])
     pose = poses[-1]
-    near = (poses[:, 0] - pose[0]) ** 2 + (poses[:, 1] - pose[1]) ** 2 <= _FARTHEST**2
-    kept, poses = tuple(compress(keyframes[-_MOST:], near)), poses[near]
+    near = (poses[:, 0] - pose[0]) ** 2 + (poses[:, 1] - pose[1]) ** 2 <= farthest**2
+    kept, poses = tuple(compress(keyframes[-most:], near)), poses[near]
     seen = np.concatenate([k.in_map for k in kept])
     width = _kernels.SIDE * _kernels.CELL  # cells stay where they are in the map
     origin = width * (np.floor(pose[:2] / width) - _kernels.BLOCKS // 2)
