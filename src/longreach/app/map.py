@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import localized, sensor_mount
-from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate
+from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, carried_to_truth, evaluate
 from longreach.app.outputs import comparison_figures, write_trajectories
 from longreach.app.results import write_results
 from longreach.errors import MappingError
@@ -121,7 +121,7 @@ def build_map(
         metrics=_with_counts(evaluation, state, closures),
         remarks=(*recording.remarks, *done.remarks, *evaluation.remarks, *_remarks(closures)),
     )
-    value = _map_of(recording, robot, laser, state, solved)
+    value = replace(_map_of(recording, robot, laser, state, solved), T_truth_map=carried_to_truth(evaluation, "mapped"))
     return Mapped(recording, robot, config, value, closures, evaluation)
 
 
