@@ -107,3 +107,16 @@ def test_a_map_file_a_start_and_fixes_must_go_together(mapped, tmp_path):
         opened_file(tmp_path / "map.lrmap", None, tmp_path)
     with pytest.raises(MappingError, match="is not there"):
         opened_file(tmp_path / "nothing.lrmap", None)
+
+
+def test_without_a_start_the_base_is_searched_for_on_the_whole_map(made, thing, mapped, on_map):
+    found = lr.estimate(made, thing, map=mapped)
+    assert len(found.trajectories["localized"]) == len(made.scans)
+    assert found.metrics["localized"]["ate_rmse"]["value"] < 0.008
+
+
+def test_scans_of_another_room_are_not_localised_and_it_is_said(made, thing, mapped):
+    scans = tuple(replace(scan, ranges=0.2 + 0.3 * np.cos(3.0 * scan.angles) ** 2) for scan in made.scans)
+    found = lr.estimate(made.replace(scans=scans), thing, map=mapped)
+    assert "localized" not in found.trajectories
+    assert any("nothing is localized" in remark for remark in found.remarks)

@@ -14,7 +14,7 @@ from longreach.errors import MappingError
 from longreach.estimation.planar.state import Correction
 from longreach.evaluation.alignment import moved
 from longreach.localization.localizer import Row
-from longreach.mapping import known_map, map_localizer
+from longreach.mapping import global_start, known_map, map_localizer
 from longreach.mapping.known_map import KnownMap
 from longreach.mapping.map_file import Map, load_map
 from longreach.mapping.map_localizer import MapRow
@@ -111,9 +111,8 @@ def opened(map_: Map, robot: RobotDescription, recording: Recording, start: Star
             f"{math.degrees(step):.3g}° apart; give a map that this scanner made."
         )
     known = known_map.prepared(map_)
-    if start is None:
-        raise MappingError("Nothing says where on the map the base is; give a start.")
-    map_localizer.init(known, np.eye(4), start.pose, start.covariance)
+    if start is not None:
+        map_localizer.init(known, np.eye(4), start.pose, start.covariance)
     return known
 
 
@@ -132,17 +131,35 @@ def followed(
     """
     stamps = {scan.stamp for scan in scans}
     rows = [PathRow(*row) for row in path if row.stamp in stamps]
-    assert start is not None
-    state = map_localizer.init(known, T_base_laser, start.pose, start.covariance)
+    state = global_start.init(known, T_base_laser)
+    if start is not None:
+        state = replace(state, settled=map_localizer.init(known, T_base_laser, start.pose, start.covariance))
     given: list[MapRow] = []
     corrections: list[Correction] = []
     for i in range(0, len(rows), _BLOCK):
         tell("localisation", i / len(rows))
         part = rows[i : i + _BLOCK]
         some = [scan for scan in scans if part[0].stamp <= scan.stamp <= part[-1].stamp]
-        state, on_map, said = map_localizer.step(state, some, part)
+        state, on_map, said = global_start.step(state, some, part)
         given, corrections = given + on_map, corrections + said
-    return OnMap(given, corrections, _remarks(corrections))
+    return OnMap(given, corrections, [*_searched(state, rows, given), *_remarks(corrections)])
+
+
+def _searched(state: global_start.GlobalStartState, rows: Sequence[PathRow], given: Sequence[MapRow]) -> list[str]:
+    """Say what became of the search for the start."""
+    if given:
+        late = given[0].stamp - rows[0].stamp
+        return [f"map: the base was found after {late:.1f} s of driving."] if late > 0.0 else []
+    if not state.hypotheses:
+        return ["map: no place on it agrees with the scans, so nothing is localized."]
+    places = ", ".join(
+        f"({h.pose[0]:.2f}, {h.pose[1]:.2f}) m {math.degrees(h.pose[2]):.0f}° with {100 * h.weight:.0f} %"
+        for h in state.hypotheses[:_TELLS]
+    )
+    return [
+        f"map: where the base is, is ambiguous, so nothing is localized: it could be at {places}; "
+        "drive on, or give --start."
+    ]
 
 
 def _remarks(corrections: Sequence[Correction]) -> list[str]:
@@ -153,7 +170,7 @@ def _remarks(corrections: Sequence[Correction]) -> list[str]:
             f"map: of {len(corrections)} fits {len(refused)} were not taken; the first at {refused[0].stamp:.2f} s, "
             f"because {refused[0].reason}."
         )
-    if not any(c.status == "used" for c in corrections):
+    if corrections and not any(c.status == "used" for c in corrections):
         remarks.append("No scan fits the map where the base was said to start: `localized` is odometry from there.")
     for c in [c for c in corrections if c.status == "used" and c.reason][:_TELLS]:
         size = 1e3 * float(np.hypot(*c.innovation[:2]))

@@ -4,7 +4,7 @@ The covariance of a keyframe is that against the frame in which the whole map fi
 trajectory to its truth takes it: against its first keyframe alone, all the others share the error of that one.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -87,7 +87,8 @@ def features_of(scan: LaserScan, geometry: ScanGeometry, twist: Float[np.ndarray
     """Return the features of a scan in the base's frame; twist (3,): of the base during the sweep."""
     share = share_of_a_beam(scan, 1.0)
     motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ twist * (1.0 if share > 0.0 else 0.0)
-    return MATCHER.features(scan, geometry, motion, share)
+    found = MATCHER.features(scan, geometry, motion, share)
+    return replace(found, values=np.ascontiguousarray(found.values[:, : found.count]))
 
 
 def covariances_of(map_: Map) -> Float[np.ndarray, "n 3 3"]:

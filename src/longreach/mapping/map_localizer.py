@@ -126,9 +126,9 @@ def step(
         if scan is not None and _is_due(state, row):
             state, correction = _corrected(state, row, scan, twist)
             corrections.append(correction)
-        given.append(_given(state, row))
+        given.append(row_of(state, row))
     newest = -math.inf if state.last is None else state.last.stamp
-    return replace(state, waiting=tuple(s for s in waiting if s.stamp > newest)), given, corrections
+    return replace(state, waiting=tuple(scan for scan in waiting if scan.stamp > newest)), given, corrections
 
 
 def _moved(state: MapLocalizerState, row: PathRow) -> tuple[MapLocalizerState, np.ndarray]:
@@ -163,8 +163,8 @@ def _predicted(state: MapLocalizerState, row: PathRow) -> tuple[np.ndarray, np.n
     return se2.compose(state.pose, moved), kept * state.shared, P
 
 
-def _given(state: MapLocalizerState, row: PathRow) -> MapRow:
-    """Return the pose at a row, with what the map itself may be off there."""
+def row_of(state: MapLocalizerState, row: PathRow) -> MapRow:
+    """Return the pose on the map at a row of the path, with what the map itself may be off there."""
     pose, _, P = _predicted(state, row)
     k, _ = state.known.nearest(pose)
     A = se2.adjoint(se2.between(pose, state.known.poses[k]))
