@@ -27,6 +27,8 @@ DISTANCE, TURNED = 0.5, math.radians(20.0)  # between keyframes [m, rad]
 # How a local map drifts, beyond what matches to it show: a variance a metre of the path [m²/m, rad²/m]. Over 100 m of
 # four real logs the heading's NEES is then 0.1 to 1.7, the position's 0.1 to 1.3 (1 is ideal; benchmarks/mapping.py).
 DRIFT = np.array([0.01**2, 0.01**2, math.radians(0.2) ** 2])
+# The part of it that shows from one keyframe to the next: drift is what errors that last over many keyframes add up to.
+LOCAL = 0.1
 _MOST = 20  # keyframes on either side in a place
 _DEFAULTS = LidarConfig()
 MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
@@ -37,13 +39,15 @@ class Keyframe:
     """A scan that was taken at the pose `odom` (3,) in the frame odom.
 
     twist (3,): of the base during the sweep [m/s, m/s, rad/s]. covariance (3, 3): of ξ of the motion since the last
-    keyframe. way [m]: along the path from the start. features: of the scan, in the base's frame.
+    keyframe, with all drift; local_covariance: with what shows of it between neighbours. way [m]: along the path from
+    the start. features: of the scan, in the base's frame.
     """
 
     scan: LaserScan
     odom: Float[np.ndarray, "3"]
     twist: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
+    local_covariance: Float[np.ndarray, "3 3"]
     way: float
     features: Features
 
@@ -74,11 +78,21 @@ class Place:
         """The number of the middle keyframe."""
         return int(self.rows[-1])
 
+    @property
+    def bending(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance (3, 3) of ξ by which all together are off, as odometry lays them out.
+
+        The mean of a random walk from the middle over a way is off by a third of the variance at its end, and that of
+        two such walks to either side by a sixth.
+        """
+        between = np.sum([k.local_covariance for k in self.keyframes], axis=0)
+        return between / (12.0 if np.any(self.rows > self.middle) else 3.0)
+
     @cached_property
     def local_map(self) -> LocalMap:
         """The surfaces of all, merged."""
-        placed = zip(self.keyframes, self.poses, strict=True)
-        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in placed])
+        seen = zip(self.keyframes, self.poses, strict=True)
+        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in seen])
 
     @cached_property
     def joined(self) -> Features:
@@ -99,15 +113,17 @@ def motion_covariance(
     before: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     after: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     way: float,
-) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance (3, 3) of the motion between two poses (3,) with covariances (3, 3), along a way [m].
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
+    """Return the covariances (3, 3) of the motion between two poses (3,) with covariances (3, 3), along a way [m].
 
-    It is what the later covariance has more than the earlier one, for errors of odometry add up, and the drift.
+    It is what the later covariance has more than the earlier one, for errors of odometry add up, and the drift: all of
+    it, and what shows of it between neighbours.
     """
     A = se2.adjoint(se2.between(after[0], before[0]))
     more = after[1] - A @ before[1] @ A.T
     values, vectors = np.linalg.eigh(0.5 * (more + more.T))
-    return vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(DRIFT * max(way, 0.01))
+    more, drift = vectors * np.maximum(values, 0.0) @ vectors.T, np.diag(DRIFT * max(way, 0.01))
+    return more + drift, more + LOCAL * drift
 
 
 def place_of(keyframes: Sequence[Keyframe], rows: Int[np.ndarray, " k"], poses: Float[np.ndarray, "k 3"]) -> Place:
@@ -127,10 +143,10 @@ def neighbours(way: Float[np.ndarray, " n"], c: int, before: float, after: float
     return np.array([*range(low, c), *range(c + 1, high), c])
 
 
-def odometry_edges(keyframes: Sequence[Keyframe]) -> Edges:
-    """Return the edges from each keyframe to the next."""
+def local_edges(keyframes: Sequence[Keyframe]) -> Edges:
+    """Return the edges from each keyframe to the next, with their local covariance."""
     n, odom = len(keyframes), np.array([k.odom for k in keyframes])
-    covariance = np.array([k.covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
+    covariance = np.array([k.local_covariance for k in keyframes[1:]]).reshape(-1, 3, 3)
     return Edges(np.arange(n - 1), np.arange(1, n), se2.between(odom[:-1], odom[1:]), covariance)
 
 

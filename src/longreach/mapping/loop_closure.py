@@ -33,8 +33,8 @@ _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of 
 _ROUNDING = np.diag([_CELL**2, _CELL**2, 0.02**2])  # of the search, which the window grows by
 NEAR = np.array([0.3, 0.3, 0.1])  # [m, m, rad] deviations of a fit's prior: wide against a cell
 # Of the covariance of a fit: neighbouring matches and the scans in a place share errors that its residuals do not show;
-# 1.5² is what two of four real logs ask for. At least 5 mm and 0.1°, of surfaces as cells round them.
-_WIDER, _LEAST_COVARIANCE = 2.25, np.diag([0.005**2, 0.005**2, math.radians(0.1) ** 2])
+# 1.5² is what two of four real logs ask for. And of what the residuals scatter, a part that all beams have in common.
+_WIDER, _COMMON = 2.25, 0.25
 # Gates on a fit. Of 1276 matches on four real logs that were right 90 % pass; see benchmarks/mapping.py.
 _OVERLAP = 0.4  # share of the returns that see a surface of the place, at least
 _AGREES = 0.55  # of these, the share that agrees but for noise, at least
@@ -63,7 +63,7 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Keyframe j as seen from keyframe i < j: pose (3,), covariance (3, 3) of ξ, and the gate that refuses it, or ""."""
+    """Keyframe j as seen from keyframe i < j: pose (3,), covariance (3, 3) of ξ; the gate that refuses it, or ""."""
 
     i: int
     j: int
@@ -118,7 +118,7 @@ class Window:
         other: Float[np.ndarray, "3"] | None = None,
         along: Float[np.ndarray, "2"] | None = None,
     ) -> Peak | None:
-        """Return the best peak above `least`, apart from another pose (3,), where distances `along` (2,) do not count."""
+        """Return the best peak above `least`, apart from another pose (3,); distances `along` (2,) do not count."""
         apart, found = (-1.0, np.zeros(3)) if other is None else (APART, other - self.mean)
         at = np.zeros(3)
         value = kernels.descend(
@@ -147,9 +147,10 @@ def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
     return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
 
 
-def covariance_of(fit: Fit) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance of a fit to old keyframes."""
-    return _WIDER * fit.covariance + _LEAST_COVARIANCE
+def covariance_of(fit: Fit, reach: float) -> Float[np.ndarray, "3 3"]:
+    """Return the covariance of a fit to old keyframes, of a scan with a reach [m]."""
+    common = (_COMMON * fit.scale) ** 2
+    return _WIDER * fit.covariance + np.diag([common, common, common / max(reach, 1.0) ** 2])
 
 
 def compared(
@@ -179,7 +180,7 @@ def compared(
         place, mean = nearer, se2.between(middle, mean)
         fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free)
     overlap = fit.rows / scan.count
-    found = covariance_of(fit)
+    found = covariance_of(fit, scan.reach) + now.bending + place.bending
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),
@@ -209,8 +210,8 @@ def reason_of(match: Match) -> str:
     """Return why a gate refuses a match, as a sentence."""
     e = match.evidence
     return {
-        "overlap": f"{100 * e.overlap:.0f} % of the returns see a surface of the place; {100 * _OVERLAP:.0f} % are asked for.",
-        "agreement": f"{100 * e.agrees:.0f} % of these agree; {100 * _AGREES:.0f} % are asked for.",
+        "overlap": f"Only {100 * e.overlap:.0f} % of the returns see a surface of the place.",
+        "agreement": f"Only {100 * e.agrees:.0f} % of the returns on surfaces of the place agree with them.",
         "visibility": f"{100 * max(e.through, e.through_back):.0f} % of the beams pass through surfaces.",
         "uniqueness": f"A second place agrees {e.second / max(e.agreement, 1e-9):.2f} times as well.",
         "chi2": f"It is off the graph by χ² = {e.chi2:.1f}; {CHI2} is the limit.",

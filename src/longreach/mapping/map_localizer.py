@@ -158,7 +158,7 @@ def _predicted(state: MapLocalizerState, row: PathRow) -> tuple[np.ndarray, np.n
     F[:3, :3], F[3:, 3:] = se2.adjoint(se2.inverse(moved)), kept * np.eye(3)
     P = F @ P @ F.T
     less = (1.0 - state.scale) * np.diag(DRIFT * max(way, 0.01))
-    P[:3, :3] += motion_covariance(state.at[1:], row[1:], way) - less
+    P[:3, :3] += motion_covariance(state.at[1:], row[1:], way)[0] - less
     P[3:, 3:] += (1.0 - kept**2) * state.scale * np.diag(_SHARED**2)
     return se2.compose(state.pose, moved), kept * state.shared, P
 

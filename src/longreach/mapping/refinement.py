@@ -12,13 +12,10 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.keyframes import Keyframe, Place, neighbours, odometry_edges, place_of, ways
-from longreach.mapping.pose_graph import Edges, PoseGraph, no_edges
+from longreach.mapping.keyframes import Keyframe, Place, local_edges, neighbours, place_of, ways
+from longreach.mapping.pose_graph import Edges, PoseGraph, joined, no_edges
 from longreach.mapping.solver import Solved
 
-# Of the covariance of odometry's edges. Drift is what errors that last over many keyframes add up to; from one to the
-# next it is far less. With this the graph's χ² per degree of freedom is 0.6 to 1.1 on four real logs (1 is ideal).
-_LOCAL = 0.1
 _REACH = 2.5  # [m] from a keyframe to another pass,
 _PASSES = 4  # the nearest ones of which are taken
 _ELSEWHERE = 10.0  # [m] of path to another pass,
@@ -31,15 +28,16 @@ _OVERLAP, _AGREES = 0.3, 0.6  # share of a scan's returns that see the place, an
 def refined(
     keyframes: tuple[Keyframe, ...],
     poses: Float[np.ndarray, "n 3"],
+    closures: Edges,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Solved:
     """Match every keyframe to other passes as poses (n, 3), whose loops are closed, lay them out; then solve, robustly.
 
-    Once: what a second time changes is within what relations show of four real logs.
+    Closures stay in the graph, before the edges to other passes. Once: what a second time changes is within what
+    relations show of four real logs.
     """
-    odometry = odometry_edges(keyframes)
-    odometry = Edges(odometry.i, odometry.j, odometry.z, _LOCAL * odometry.covariance)
-    return solver.optimize_robust(PoseGraph(poses, odometry, _passes(keyframes, poses, progress)))
+    edges = joined(closures, _passes(keyframes, poses, progress))
+    return solver.optimize_robust(PoseGraph(poses, local_edges(keyframes), edges))
 
 
 def _passes(
@@ -58,7 +56,7 @@ def _passes(
             fit = loop_closure.fitted(keyframe.features, places[c].local_map, at, np.full(3, 100.0), _SIGMA)
             overlap = fit.rows / max(keyframe.features.count, 1)
             if overlap >= _OVERLAP and fit.inlier_ratio >= _AGREES * overlap and math.isfinite(fit.scale):
-                found.append((c, k, fit.pose, loop_closure.covariance_of(fit)))
+                found.append((c, k, fit.pose, loop_closure.covariance_of(fit, keyframe.features.reach)))
     return Edges(*(np.array(column) for column in zip(*found, strict=True))) if found else no_edges()
 
 
