@@ -302,3 +302,19 @@ def test_a_file_where_the_results_should_go_is_said(run, bags, tmp_path):
     assert "out is a file; give a folder for the results." in answer.sentence
     assert (tmp_path / "out").read_text() == "mine"
     assert answer.err.strip() == answer.sentence  # said before any work
+
+
+def test_a_recording_is_localised_in_a_map_that_another_run_made(run, bags, tmp_path, made, refused):
+    assert run("map", bags / "run.mcap", "--robot", "thing", "--out", tmp_path / "map").code == 0
+    map_file = tmp_path / "map" / "map.lrmap"
+    answer = run("estimate", bags / "run.mcap", "--robot", "thing", "--map", map_file, "--out", tmp_path / "there")
+    assert answer.code == 0, answer.err
+    metrics = json.loads((tmp_path / "there" / "metrics.json").read_text())["localized"]
+    assert metrics["ate_rmse"]["value"] < 0.01
+    assert {"heading_rms", "nees_mean", "nis_map_mean"} <= set(metrics)
+    assert len(read_tum(tmp_path / "there" / "localized.tum")) == len(made.scans)
+    mapped = ("--robot", "thing", "--map", map_file)
+    assert "which goes from" in refused(bags / "run.mcap", *mapped, "--start", "90,0,0")
+    assert "x,y,theta" in refused(bags / "run.mcap", *mapped, "--start", "there")
+    assert "give --map as well" in refused(bags / "run.mcap", "--robot", "thing", "--start", "0,0,0")
+    assert "is not there" in refused(bags / "run.mcap", "--robot", "thing", "--map", tmp_path / "none.lrmap")

@@ -200,6 +200,8 @@ def _blocked(sample: list[LaserScan], unit: float) -> np.ndarray | None:
 
 def _sweep(scans: tuple[LaserScan, ...], sample: list[LaserScan]) -> list[str]:
     """Say where the time of a sweep does not fit the time between scans."""
+    if len(scans) < 2:
+        return []
     period = float(np.median(np.diff([one.stamp for one in scans[:1000]])))
     sweep = float(np.median([one.time_increment * len(one.ranges) for one in sample]))
     if period > 0.0 and (sweep > 1.5 * period or sweep < 0.0):

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from longreach.app import plausibility
+from longreach.app import map_localization, plausibility
 from longreach.app.configuration import EstimateConfig
 from longreach.app.doctor import examine
 from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate, innovations, match_consistency
+from longreach.app.map_localization import Start
 from longreach.errors import EstimationError
 from longreach.estimation.planar import filter as planar_filter
 from longreach.estimation.planar.smoother import smooth
@@ -21,6 +22,8 @@ from longreach.geometry import se2
 from longreach.localization import localizer
 from longreach.localization.config import Source, filter_for
 from longreach.localization.localizer import LocalizerState, Output, Reading, Row
+from longreach.mapping.map_file import Map
+from longreach.mapping.map_localizer import SOURCE
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
@@ -80,21 +83,30 @@ def estimate(
     *,
     truth: PoseTrajectory | None = None,
     relations: Relations | None = None,
+    map: Map | None = None,
+    start: Start | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
     """Estimate where the base went, and how well that agrees with the truth where there is one.
 
-    The truth is used for evaluation alone. Estimates start at the identity; `localized` is where absolute fixes put it.
+    The truth is used for evaluation alone. Estimates start at the identity; `localized` is where a map, or absolute
+    fixes, put it.
 
     Arguments:
         config: None takes the defaults. truth: None takes the recording's own, where it has one.
         relations: stamps_1 (m,), stamps_2 (m,) [s] as recorded and relative poses (m, 3) [m, m, rad].
+        map: in which to localise, in place of fixes. start: where the base is on it at first; None: it is searched for.
         progress: called with the name of a stage and how far it is, 0 to 1.
 
     Raises:
         EstimationError: a source that was asked for is not in the recording, or nothing is there to fuse.
+        MappingError: the map is of another robot or scanner, shows nothing, or the start is not on it.
     """
     robot, config = description_of(robot), config or EstimateConfig()
+    known = None if map is None else map_localization.opened(map, robot, recording, start)
+    if known is not None and recording.fixes:
+        said = f"{len(recording.fixes)} fixes were left out: with a map, `localized` is by its scans."
+        recording = recording.replace(fixes=(), remarks=(*recording.remarks, said))
     config = config.model_copy(update={"filter": filter_for(config, robot)})
     tell = progress or (lambda stage, fraction: None)
     compared = config.compare or truth is not None or recording.truth is not None or relations is not None
@@ -104,6 +116,14 @@ def estimate(
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
     alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in done.sources else ()
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
+    verdict, said = plausibility.verdict(done.output.corrections), list[str]()
+    if known is not None:
+        laser = sensor_mount(recording, robot, "lidar")
+        given, corrections, said = map_localization.followed(
+            known, laser, recording.scans, done.output.rows, start, tell
+        )
+        estimated["localized"] = _path([Row(*row) for row in given])
+        done = done._replace(output=done.output._replace(corrections=[*done.output.corrections, *corrections]))
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
 
@@ -116,10 +136,11 @@ def estimate(
     }
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    metrics = _with_consistency(evaluation, done, {fix.source for fix in recording.fixes})
-    remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *evaluation.remarks)
+    if map is not None:
+        evaluation = map_localization.judged(evaluation, map)
+    metrics = _with_consistency(evaluation, done, {SOURCE, *(fix.source for fix in recording.fixes)})
+    remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *said, *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)
-    verdict = plausibility.verdict(done.output.corrections)
     return Estimate(recording, robot, config, done.output.matches, done.output.corrections, evaluation, verdict)
 
 

@@ -12,7 +12,7 @@ from longreach.app.configuration import EvaluationConfig
 from longreach.errors import LongreachError, RecordingError
 from longreach.estimation.planar.state import Correction
 from longreach.evaluation import metrics as errors
-from longreach.evaluation.alignment import associate
+from longreach.evaluation.alignment import align_pairs, associate
 from longreach.evaluation.consistency import Consistency, PoseErrors, consistency_metrics, nees, nis, pose_errors
 from longreach.evaluation.glitches import drop_glitches
 from longreach.evaluation.relations import RelationErrors, relation_errors, relation_metrics
@@ -179,6 +179,14 @@ def against_truth(
     if pairs.covariance is not None:
         found |= consistency_metrics("nees", nees(pose_errors(pairs, config.align != "none" and not on_map)))
     return found
+
+
+def carried_to_truth(evaluation: Evaluation, name: str) -> Float[np.ndarray, "3"] | None:
+    """Return the rigid motion (3,) that carries a trajectory nearest to the truth; None where there is no truth."""
+    truth = evaluation.trajectories.get("truth")
+    if truth is None or len(evaluation.trajectories[name]) < 2:
+        return None
+    return align_pairs(associate(evaluation.trajectories[name], truth, evaluation.config.longest_gap))[1]
 
 
 def _cleaned(truth: PoseTrajectory, config: EvaluationConfig) -> tuple[PoseTrajectory, tuple[str, ...]]:

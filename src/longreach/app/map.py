@@ -9,7 +9,7 @@ import numpy as np
 
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import Done, localized, sensor_mount
-from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, evaluate
+from longreach.app.evaluate import Evaluation, Metrics, Progress, Relations, carried_to_truth, evaluate
 from longreach.errors import LongreachError, MappingError
 from longreach.evaluation.relations import long_relation_metrics
 from longreach.evaluation.tables import metric
@@ -55,7 +55,7 @@ class Mapped:
     evaluation: Evaluation
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BuiltMap(Map):
     """A map that was just built, with what it was made of: a `Mapped` for each recording, in their order."""
 
@@ -143,7 +143,9 @@ def build_map(
     parts = [
         _judged(done[k], states[k], held[k], solved, map_.stamps, truth, relations, config) for k in range(len(done))
     ]
-    names = ("graph", "weights", "scans", "twists", "session", "sessions")
+    if add_to is None:
+        map_ = replace(map_, T_truth_map=carried_to_truth(parts[0].evaluation, "mapped"))
+    names = ("graph", "weights", "scans", "twists", "session", "sessions", "T_truth_map")
     return BuiltMap(**{name: getattr(map_, name) for name in names}, robot=robot, config=config, parts=tuple(parts))
 
 

@@ -163,6 +163,7 @@ def _control() -> None:
 
 
 def _mapping() -> None:
+    from longreach.mapping import global_start, known_map
     from longreach.mapping.map_file import Map, Session
     from longreach.mapping.occupancy import render
     from longreach.mapping.pose_graph import Edges, PoseGraph
@@ -173,9 +174,12 @@ def _mapping() -> None:
     edges = Edges(*ends, np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.1, 0.0, 0.0]]), np.stack([np.eye(3)] * 3))
     solved = optimize(PoseGraph(np.zeros((3, 3)), edges[:2], edges[2:]))
     relative_covariances(solved, *ends)
-    scans = tuple(LaserScan(0.0, np.ones(3), 0.0, 0.1) for _ in range(3))
+    scans = tuple(LaserScan(0.0, np.linspace(1.0, 2.0, 60), 0.0, 0.1) for _ in range(3))
     session = Session("warm", "none", {"laser": np.eye(4)})
-    render(Map(solved.graph, solved.weights, scans, np.zeros((3, 3)), np.zeros(3, dtype=int), (session,)))
+    made = Map(solved.graph, solved.weights, scans, np.zeros((3, 3)), np.zeros(3, dtype=int), (session,))
+    render(made)
+    known = known_map.prepared(made)
+    global_start.search(known, known.features[0])
     _loop()
 
 

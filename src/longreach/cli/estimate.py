@@ -25,6 +25,10 @@ def command(
     fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
+    map_: Path | None = typer.Option(None, "--map", help="A map.lrmap to localise in: localized.tum in its frame."),
+    start: str | None = typer.Option(
+        None, help="Where on the map: x,y,theta[,sx,sy,stheta] (metres, radians), or global (default): searched for."
+    ),
     compare: bool = typer.Option(False, "--compare", help="LIDAR odometry alone as well: lidar.tum."),
     assume: list[str] = input_options.ASSUME,
     smooth: bool = typer.Option(False, "--smooth", help="Look back over the whole run as well: smoothed.tum."),
@@ -47,6 +51,8 @@ def command(
         "assume": assume or None,
         "topic": topic or None,
         "clock": None if clock is input_options.Clock.header else clock,
+        "map": map_,
+        "start": start,
     }
     spatial = {"node": node, "filter": filter, "transforms": transform}
     spatial["as_robot_localization"] = as_robot_localization
@@ -69,6 +75,7 @@ def command(
 def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
     from longreach.app.estimate import estimate
     from longreach.app.inputs import open_run
+    from longreach.app.map_localization import opened_file
     from longreach.app.outputs import write_estimate
     from longreach.app.warmup import warm_up
     from longreach.io.whole_files import check_folder
@@ -76,11 +83,12 @@ def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:
     from longreach.view.replay import of_estimate
 
     check_folder(out)
+    on_map = opened_file(options.pop("map"), options.pop("start"), options["fixes"])
     with shown_progress() as progress:
         run = open_run(recording, **options, progress=progress)
-        warm_up(progress, "estimation")  # after what can be wrong with the files
+        warm_up(progress, "estimation", *(("mapping",) if on_map else ()))  # after what can be wrong with the files
         result = estimate(
-            run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress
+            run.recording, run.robot, run.config, truth=run.truth, relations=run.relations, progress=progress, **on_map
         )
         write_estimate(result, out, progress)
         progress("scene for the report", 0.0)

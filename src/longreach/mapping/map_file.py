@@ -46,7 +46,8 @@ class Map:
 
     graph: poses T_map_base (n, 3) and edges. weights (mc,): of the closures, 0 where one is withdrawn. scans (n): one a
     keyframe, with its stamp. twists (n, 3): of the base during each sweep, by which its beams are set right [m/s, m/s,
-    rad/s]. session (n,): which of `sessions` each keyframe is from.
+    rad/s]. session (n,): which of `sessions` each keyframe is from. T_truth_map (3,): the rigid motion that carried the
+    mapping run to its truth, for evaluation alone; None: it had none.
 
     Raises:
         MappingError: there is no keyframe, lengths disagree, a keyframe's session or a scan's mount is not there.
@@ -58,6 +59,7 @@ class Map:
     twists: Float[np.ndarray, "n 3"]
     session: Int[np.ndarray, " n"]
     sessions: tuple[Session, ...]
+    T_truth_map: Float[np.ndarray, "3"] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.graph.poses)
@@ -68,6 +70,8 @@ class Map:
         arrays = (("weights", (len(self.graph.closures),), float), ("twists", (n, 3), float), ("session", (n,), int))
         for name, shape, kind in arrays:
             object.__setattr__(self, name, frozen(getattr(self, name), shape, kind, f"map's {name}"))
+        if self.T_truth_map is not None:
+            object.__setattr__(self, "T_truth_map", frozen(self.T_truth_map, (3,), float, "map's T_truth_map"))
         for k, (s, scan) in enumerate(zip(self.session.tolist(), self.scans, strict=True)):
             if not 0 <= s < len(self.sessions):
                 raise MappingError(f"Keyframe {k} of a map is of session {s}, and there are {len(self.sessions)}.")
@@ -101,6 +105,7 @@ def save_map(path: str | Path, value: Map) -> None:
             }
             for s in value.sessions
         ],
+        "T_truth_map": None if value.T_truth_map is None else value.T_truth_map.tolist(),
     }
     members = {"map.json": json.dumps(head, indent=1, allow_nan=False).encode(), **members}
     with whole_file(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
@@ -198,7 +203,9 @@ def _read_version_1(head: Mapping[str, Any], members: Mapping[str, bytes]) -> Ma
         Session(s["name"], s["robot"], {frame: np.array(T) for frame, T in s["mounts"].items()}, s["description"])
         for s in head["sessions"]
     )
-    return Map(PoseGraph(g["poses"], odometry, closures), g["weights"], scans, k["twists"], k["session"], sessions)
+    graph, truth = PoseGraph(g["poses"], odometry, closures), head.get("T_truth_map")
+    T_truth_map = None if truth is None else np.array(truth)
+    return Map(graph, g["weights"], scans, k["twists"], k["session"], sessions, T_truth_map)
 
 
 _READERS = {1: _read_version_1}

@@ -1,0 +1,134 @@
+"""A map prepared for localising in it: the surfaces about each place, and how well the map knows where each is.
+
+The covariance of a keyframe is that against the frame in which the whole map fits best, as the rigid alignment of a
+trajectory to its truth takes it: against its first keyframe alone, all the others share the error of that one.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from longreach.errors import MappingError
+from longreach.geometry import se2
+from longreach.mapping import solver
+from longreach.mapping.keyframes import MATCHER
+from longreach.mapping.map_file import Map
+from longreach.mapping.pose_graph import adjoints, information, jacobians, residuals
+from longreach.measurement import LaserScan
+from longreach.odometry import local_map
+from longreach.odometry.local_map import LocalMap
+from longreach.odometry.matchers.scan_matcher import Features
+from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry, share_of_a_beam
+
+FAR = 10.0  # [m] from the nearest keyframe: beyond it a pose is off the map
+_REACH, _MOST = 4.0, 20  # [m] about a keyframe, and how many of the others there make its reference
+_KEPT = 128  # references
+# Matches of neighbouring keyframes share scans, so that their residuals show only a part of their errors: fits to a map
+# are alike over five of them, in simulated rooms. And less than this part of its variances no graph can be shown to be.
+_NEIGHBOURS, _LEAST_FACTOR = 3.0, 0.01
+_FEWEST = 12  # returns of a scan that shows a place
+
+
+@dataclass(frozen=True, eq=False)
+class KnownMap:
+    """Keyframes at poses T_map_base (n, 3) with covariances (n, 3, 3) of ξ, and what each sees in the base's frame."""
+
+    poses: Float[np.ndarray, "n 3"]
+    covariances: Float[np.ndarray, "n 3 3"]
+    features: tuple[Features, ...]
+    references: dict[int, LocalMap] = field(default_factory=dict)  # a cache: what is in it follows from the rest
+
+    @cached_property
+    def surfaces(self) -> tuple[local_map.Keyframe, ...]:
+        """What each keyframe sees, at its pose on the map."""
+        return tuple(local_map.keyframe(f, pose) for f, pose in zip(self.features, self.poses, strict=True))
+
+    def nearest(self, pose: Float[np.ndarray, "3"]) -> tuple[int, float]:
+        """Return the keyframe nearest to a pose, and how far away it is [m]."""
+        distance = np.hypot(*(self.poses[:, :2] - pose[:2]).T)
+        k = int(np.argmin(distance))
+        return k, float(distance[k])
+
+    def reference(self, k: int) -> LocalMap:
+        """Return the surfaces that the keyframes about keyframe k see, in its frame."""
+        if k not in self.references:
+            if len(self.references) >= _KEPT:
+                self.references.pop(next(iter(self.references)))
+            distance = np.hypot(*(self.poses[:, :2] - self.poses[k, :2]).T)
+            distance[k] = -1.0  # a local map lies about its last keyframe
+            rows = [q for q in np.argsort(distance)[:_MOST][::-1].tolist() if distance[q] < _REACH]
+            at = se2.between(np.broadcast_to(self.poses[k], (len(rows), 3)), self.poses[rows])
+            seen = (self.surfaces[q] for q in rows)
+            parts = [local_map.Keyframe(x, s.elements, s.noise) for x, s in zip(at, seen, strict=True)]
+            self.references[k] = local_map.merged(parts)
+        return self.references[k]
+
+
+def prepared(map_: Map) -> KnownMap:
+    """Prepare a map.
+
+    Raises:
+        MappingError: none of its scans shows anything.
+    """
+    features, geometry, before = [], None, None
+    for scan, session, twist in zip(map_.scans, map_.session.tolist(), map_.twists, strict=True):
+        mount = map_.sessions[session].mounts[scan.frame]
+        if geometry is None or not (same_kind(scan, geometry) and mount is before):
+            geometry, before = scan_geometry(scan, mount, 5), mount
+        features.append(features_of(scan, geometry, twist))
+    if max(f.count for f in features) < _FEWEST:
+        raise MappingError("No scan of the map shows anything; map a recording in which the laser sees walls.")
+    return KnownMap(map_.graph.poses, covariances_of(map_), tuple(features))
+
+
+def features_of(scan: LaserScan, geometry: ScanGeometry, twist: Float[np.ndarray, "3"]) -> Features:
+    """Return the features of a scan in the base's frame; twist (3,): of the base during the sweep."""
+    share = share_of_a_beam(scan, 1.0)
+    motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ twist * (1.0 if share > 0.0 else 0.0)
+    found = MATCHER.features(scan, geometry, motion, share)
+    return replace(found, values=np.ascontiguousarray(found.values[:, : found.count]))
+
+
+def covariances_of(map_: Map) -> Float[np.ndarray, "n 3 3"]:
+    """Return the covariance of each keyframe's ξ against the rigid motion by which all positions fit best.
+
+    That motion a (3,) takes a part of all errors: ξ'_k = ξ_k − Ad(T_k⁻¹) a with a = W ξ, a least squares fit.
+    """
+    from scipy.sparse import coo_matrix  # here, for it takes long to import
+    from scipy.sparse.linalg import splu
+
+    solved = solver.optimize(map_.graph, map_.weights)
+    poses, edges, free = solved.poses, solved.graph.edges, ~solved.factor.fixed
+    n = len(poses)
+    Ad = adjoints(se2.between(poses, np.zeros((n, 3))))  # of T_k⁻¹
+    weighed = np.linalg.inv(np.einsum("kab,kac->bc", Ad[:, :2], Ad[:, :2]) + 1e-9 * np.eye(3))
+    W = (Ad * np.array([[1.0], [1.0], [0.0]])) @ weighed  # (n, 3, 3): a = Σ W_kᵀ ξ_k, of positions alone
+    S, C = solver.marginals(solved), np.zeros((n, 3, 3))
+    if free.any():
+        row = np.cumsum(free) - 1
+        J = np.stack(jacobians(poses, edges, residuals(poses, edges)), axis=1)  # (m, 2, 3, 3)
+        weights = np.concatenate([np.ones(len(solved.graph.odometry)), solved.weights])
+        H = np.einsum("meab,m,mac,mfcd->mefbd", J, weights, information(edges.covariance), J)
+        ends = np.stack([edges.i, edges.j], axis=1)
+        at = 3 * row[ends][:, :, None] + np.arange(3)
+        rows = np.broadcast_to(at[:, :, None, :, None], H.shape)
+        columns = np.broadcast_to(at[:, None, :, None, :], H.shape)
+        kept = np.broadcast_to((free[ends][:, :, None] & free[ends][:, None, :])[..., None, None], H.shape)
+        entries = H[kept], (rows[kept], columns[kept])
+        size = 3 * int(free.sum())
+        C[free] = splu(coo_matrix(entries, shape=(size, size)).tocsc()).solve(W[free].reshape(-1, 3)).reshape(-1, 3, 3)
+    V = np.einsum("kba,kbc->ac", W, C)
+    part = C @ Ad.transpose(0, 2, 1)
+    S = S - part - part.transpose(0, 2, 1) + Ad @ V @ Ad.transpose(0, 2, 1)
+    return _variance_factor(solved) * 0.5 * (S + S.transpose(0, 2, 1))
+
+
+def _variance_factor(solved: solver.Solved) -> float:
+    """Return how much smaller than stated the variances of a graph's edges are, by what is left of them; at most 1."""
+    weights = np.concatenate([np.ones(len(solved.graph.odometry)), solved.weights])
+    dof = 3 * (weights.sum() - np.count_nonzero(~solved.factor.fixed))
+    if not dof > 0:
+        return 1.0
+    return float(np.clip(_NEIGHBOURS * np.sum(weights * solved.chi2) / dof, _LEAST_FACTOR, 1.0))
