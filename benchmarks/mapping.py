@@ -31,8 +31,8 @@ import numpy as np
 from recordings import Checks
 
 from longreach.geometry import se2
-from longreach.io.recording import read_poses
 from longreach.io.relations import read_relations
+from longreach.io.trajectory_file import read_poses
 from longreach.mapping.loop_closure import CHI2
 from longreach.mapping.map_file import load_map
 from longreach.mapping.pose_graph import Edges, PoseGraph
@@ -82,7 +82,7 @@ class Reference:
 
     def __init__(self, out: Path, relations: Path) -> None:
         """Solve it; `near` (n,) says of which keyframes it can judge."""
-        fused, self.stamps = read_poses(out / "fused.tum"), load_map(out / "map.lrmap").stamps
+        (fused, _), self.stamps = read_poses(out / "fused.tum"), load_map(out / "map.lrmap").stamps
         first, second, poses = read_relations(relations)
         odom, _ = fused.at(self.stamps)
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(odom[:, :2], axis=0).T))])
@@ -124,7 +124,7 @@ class Reference:
 
     def recorded(self, out: Path) -> np.ndarray:
         """Return the keyframes' stamps as recorded."""
-        path = read_poses(out / "mapped.tum")
+        path, _ = read_poses(out / "mapped.tum")
         return path.stamps[np.argmin(np.abs(path.clock[None] - self.stamps[:, None]), axis=1)]
 
 
