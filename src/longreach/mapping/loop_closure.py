@@ -30,6 +30,7 @@ _CELL = map_kernels.CELL  # [m] of the search
 _POINTS = 160  # of the joined scans that take part in the search, about
 REGION = 30.0  # [m] from the middle of a region to its edge, of a map that is searched as a whole
 _ANYWHERE = np.diag([(REGION / WINDOW) ** 2, (REGION / WINDOW) ** 2, 10.0**2])
+_NEAR_ENOUGH = 15.0  # [m] to points that take part in that: further ones ask for finer turns
 _CLEAR = 0.5  # agreement of a peak on a whole map
 _BEAMS = 200  # that are followed through a map
 _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of it
@@ -208,6 +209,9 @@ def found_anywhere(
     """
     scan, peak = now.joined, None
     points = sampled(scan)
+    points = np.ascontiguousarray(points[:, np.hypot(*points) < _NEAR_ENOUGH])
+    if points.shape[1] == 0:
+        return None
     for region in regions:
         searched = Window(region, points, np.array([*region.poses[-1, :2], 0.0]), _ANYWHERE)
         peak = searched.best(_CLEAR if peak is None else peak.agreement) or peak
