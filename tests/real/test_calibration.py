@@ -1,4 +1,4 @@
-"""Censi's tuples: our answers against his, our covariance against the scatter of sub-sets."""
+"""Calibration of real runs: Censi's tuples beside his own answers, and Polimi's bags, each judged by the other."""
 
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -21,3 +21,7 @@ def test_censis_runs_keep_every_bar(data, benchmark, unchecked, capsys):
     if not folder.is_dir():
         pytest.skip(f"there is no folder {folder}")
     assert benchmark.censi(folder), capsys.readouterr().out
+
+
+def test_polimis_bags_calibrate_each_other_and_the_one_that_hardly_turns_refuses_k(data, benchmark, unchecked, capsys):
+    assert benchmark.polimi(data / "polimi"), capsys.readouterr().out

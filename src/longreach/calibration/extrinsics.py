@@ -34,6 +34,7 @@ _FALSE_ALARM = 1e-3  # share of good motions that the gate leaves out, under tha
 _ITERATIONS, _CHANGE = 60, 1e-7  # at most, and the change in units of `limits` that ends them
 _FLOOR = 1e-5  # of the noise [m, rad], which keeps the information of exact motions well conditioned
 _LEAST_TURN = 0.01  # [rad] of a motion, at which the closed form begins to see where the sensor is
+_ALIKE = 0.002  # deviation of wheels of one make from their mean radius [1]; benchmarks/calibration.py, Polimi
 _MOVED = 1e-3  # [m, rad]: less is standing
 _FEWEST = 20  # motions that a calibration takes
 
@@ -42,13 +43,15 @@ _FEWEST = 20  # motions that a calibration takes
 class Fit:
     """What motions show of a model's parameters q = (wheels, sensor) (q,).
 
-    information (q, q): of all, whether they are observable or not. scatter (q, q): S.
+    information (q, q): of all, whether they are observable or not. prior (q, q): of
+    the radii's ratios. scatter (q, q): S.
     residual (n, d): white e, and the wheels' disagreement. noise (d, d): Σ of a motion, in units of its own covariance
     where it has one. used (n,): whether it passed the gate.
     """
 
     values: Float[np.ndarray, " q"]
     information: Float[np.ndarray, "q q"]
+    prior: Float[np.ndarray, "q q"]
     scatter: Float[np.ndarray, "q q"]
     residual: Float[np.ndarray, "n d"]
     noise: Float[np.ndarray, "d d"]
@@ -101,12 +104,12 @@ def _turns(motions: Motions) -> np.ndarray:
 
 
 def _robust_linear(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (k,) with A x = y, and Cauchy weights (n,) of the rows by the median residual."""
+    """Return x (k,) with A x = y, and Cauchy weights (n,) of the rows by the mean residual."""
     w, x = np.ones(len(y)), np.zeros(A.shape[1])
     for _ in range(20):
         x = np.linalg.lstsq(A * np.sqrt(w)[:, None], y * np.sqrt(w), rcond=1e-8)[0]
         r = A @ x - y
-        w = 1.0 / (1.0 + (r / max(1.4826 * float(np.median(np.abs(r))), 1e-9)) ** 2)
+        w = 1.0 / (1.0 + (r / max(float(np.mean(np.abs(r))), 1e-9)) ** 2)
     return x, w
 
 
@@ -126,7 +129,7 @@ def _mount_and_scale(o: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "n 3"]) -
             x, direction = -x, -direction
         scale, mount = float(x[0]), np.array([x[1], x[2], np.arctan2(direction[1], direction[0])])
         r = np.linalg.norm(A @ x - B @ direction, axis=1)
-        w = 1.0 / (1.0 + (r / max(float(np.median(r)), 1e-9)) ** 2)
+        w = 1.0 / (1.0 + (r / max(float(np.mean(r)), 1e-9)) ** 2)
     return scale, mount
 
 
@@ -147,10 +150,11 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
             f"There are {len(motions.spans)} motions between keyframes, and a calibration takes {_FEWEST} at least; "
             "drive for a minute, with turns and straight parts."
         )
-    unit, whiten = limits(model), _whitening(model, motions)
+    unit, whiten, prior = limits(model), _whitening(model, motions), _alike(model)
+    nominal = np.concatenate((model.nominal, np.zeros(3)))
     residual, J = _residuals(model, q, motions, whiten)
     d = residual.shape[1]
-    noise, q = np.diag((1.4826 * np.median(np.abs(residual), axis=0)) ** 2 + _FLOOR**2), q.copy()
+    noise, q = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2), q.copy()  # too large: what differs is not yet slip
     gate = d * float(f_law.isf(_FALSE_ALARM, d, _NU))
     W, used, weight = np.linalg.inv(noise), np.ones(len(residual), dtype=bool), np.ones(len(residual))
     for _ in range(_ITERATIONS):
@@ -160,7 +164,7 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         weight = np.where(used, (_NU + d) / (_NU + square), 0.0)
         H = np.einsum("n,nij,ik,nkl->jl", weight, J, W, J)
         g = np.einsum("n,nij,ik,nk->j", weight, J, W, residual)
-        change = _solved(H, g, unit)
+        change = _solved(H + prior, g - prior @ (q - nominal), unit)
         q = q + change
         residual, J = _residuals(model, q, motions, whiten)
         noise = np.einsum("n,ni,nj->ij", weight, residual, residual) / max(used.sum(), 1) + _FLOOR**2 * np.eye(d)
@@ -176,7 +180,17 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         )
     scores = np.einsum("n,nij,ik,nk->nj", weight, J, W, residual)
     H = np.einsum("n,nij,ik,nkl->jl", used * (_NU + d) / (_NU + d + 2.0), J, W, J)
-    return Fit(q, H, _long_run(scores), residual, noise, used)
+    return Fit(q, H, prior, _long_run(scores), residual, noise, used)
+
+
+def _alike(model: WheelModel) -> np.ndarray:
+    """Return the information (q, q) of the prior that wheels of one make differ little from each other."""
+    radii = np.array([name.startswith("radius") for name in (*model.names, *MOUNT)])
+    information = np.zeros((len(radii), len(radii)))
+    if radii.any():
+        n, sigma = radii.sum(), _ALIKE * model.nominal[radii[:-3]].mean()
+        information[np.ix_(radii, radii)] = (np.eye(n) - 1.0 / n) / sigma**2
+    return information
 
 
 def _solved(H: np.ndarray, g: np.ndarray, D: np.ndarray) -> np.ndarray:

@@ -66,11 +66,12 @@ def _shown(model: WheelModel, found: Fit, scale_deviation: float) -> tuple[np.nd
     D = limits(model)
     values, V = np.linalg.eigh(D[:, None] * found.information * D)
     good = values > 1.0
-    inverse = D[:, None] * ((V[:, good] / values[good]) @ V[:, good].T) * D
+    seen = D[:, None] * V[:, good]
+    inverse = seen @ np.linalg.inv(seen.T @ (found.information + found.prior) @ seen) @ seen.T
     kinds = zip((*model.names, *MOUNT), (*model.units, "m", "m", "rad"), strict=True)
     lengths = np.array([kind == "m" or name in ("scale_x", "scale_y") for name, kind in kinds])
     common = np.where(lengths, scale_deviation * found.values, 0.0)
-    covariance = inverse @ found.scatter @ inverse + np.outer(common, common)
+    covariance = inverse @ (found.scatter + found.prior) @ inverse + np.outer(common, common)
     inside = (V[:, good] ** 2).sum(axis=1)
     observable = (inside > 1.0 - _PART) & (np.sqrt(np.diag(covariance)) < D)
     observable[-3:-1] = observable[-3:-1].all()  # a turn of the sensor about the base's centre changes x or y, or both
@@ -79,9 +80,9 @@ def _shown(model: WheelModel, found: Fit, scale_deviation: float) -> tuple[np.nd
 
 def manoeuvre(name: str) -> str:
     """Return the driving that shows a parameter best."""
-    if name in ("k", "track_width", "scale_heading", *MOUNT[:2]):
-        return _TURN
-    return _SIDEWAYS if name == "scale_y" else _STRAIGHT
+    if name.startswith("scale"):
+        return {"scale_x": _STRAIGHT, "scale_y": _SIDEWAYS}.get(name, _TURN)
+    return _TURN if name in ("k", "track_width") or name.endswith(("_x", "_y")) else _STRAIGHT
 
 
 def not_shown(name: str) -> str:

@@ -56,7 +56,7 @@ def wheel_model(robot: RobotDescription) -> WheelModel:
     """Return the parameters of a robot's wheels; raise CalibrationError where its kind of base has none here."""
     base = robot.base
     if base is None:
-        return _scales()
+        return _scales(robot)
     if isinstance(base, DifferentialBase):
         return _differential(base)
     if isinstance(base, MecanumBase):
@@ -80,7 +80,8 @@ def _differential(base: DifferentialBase) -> WheelModel:
         by_track[2] = -F[2] / b
         return F, np.array([unit * left, unit * ~left, by_track])
 
-    nominal = np.array([base.wheel_radius, base.wheel_radius, base.track_width])
+    radii = base.radii
+    nominal = np.array([radii[left].mean(), radii[~left].mean(), base.track_width])
     names = ("radius_left", "radius_right", "track_width")
     return WheelModel(names, ("m", "m", "m"), nominal, matrix, np.zeros((0, len(share))))
 
@@ -97,16 +98,18 @@ def _mecanum(base: MecanumBase) -> WheelModel:
         by_arm[2] = -F[2] / k
         return F, np.array([*(unit * np.eye(4)[i] for i in range(4)), by_arm])
 
-    nominal = np.array([base.wheel_radius] * 4 + [base.lever])
+    nominal = np.array([*base.radii, base.lever])
     names = (*(f"radius_{corner}" for corner in base.wheel_corners), "k")
     signs = np.array([[1.0 if "front" in corner else -1.0 for corner in base.wheel_corners]])
     return WheelModel(names, ("m",) * 5, nominal, matrix, signs)
 
 
-def _scales() -> WheelModel:
+def _scales(robot: RobotDescription) -> WheelModel:
     parts = np.array([np.diag(row) for row in np.eye(3)])
     names = ("scale_x", "scale_y", "scale_heading")
-    return WheelModel(names, ("1",) * 3, np.ones(3), lambda p: (np.diag(p), parts), np.zeros((0, 3)))
+    return WheelModel(
+        names, ("1",) * 3, np.array(robot.odometry_scale), lambda p: (np.diag(p), parts), np.zeros((0, 3))
+    )
 
 
 def base_motion(
