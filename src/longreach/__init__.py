@@ -30,6 +30,8 @@ _PUBLIC = {
     "EstimateConfig": "longreach.app.configuration",
     "Localizer": "longreach.localization.localizer",
     "LocalizerConfig": "longreach.localization.config",
+    "calibrate": "longreach.app.calibrate",
+    "Calibration": "longreach.app.calibrate",
     "evaluate": "longreach.app.evaluate",
     "write_estimate": "longreach.app.outputs",
     "build_map": "longreach.app.map",

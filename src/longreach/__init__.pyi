@@ -1,5 +1,6 @@
 """What `import longreach as lr` has, for editors and type checkers; loaded when first used (`__init__.py`)."""
 
+from longreach.app.calibrate import Calibration, calibrate
 from longreach.app.configuration import EstimateConfig
 from longreach.app.estimate import Estimate, estimate
 from longreach.app.evaluate import evaluate
@@ -39,6 +40,7 @@ from longreach.sim.kinematic import make_recording
 from longreach.trajectory import PoseTrajectory
 
 __all__ = [
+    "Calibration",
     "Command",
     "ConfigurationTrajectory",
     "Estimate",
@@ -66,6 +68,7 @@ __all__ = [
     "WheelTicks",
     "__version__",
     "build_map",
+    "calibrate",
     "connect",
     "estimate",
     "evaluate",

@@ -35,3 +35,7 @@ class LiveError(LongreachError):
 
 class MappingError(LongreachError):
     """A map, its pose graph or its file cannot be used."""
+
+
+class CalibrationError(LongreachError):
+    """Motions show nothing of what is to be calibrated, or contradict the description."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from longreach.cli import connect, estimate, evaluate, info, plan, ros, run, serve, view, warmup
+from longreach.cli import calibrate, connect, estimate, evaluate, info, plan, ros, run, serve, view, warmup
 from longreach.cli import map as map_verb
 from longreach.errors import LongreachError
 
@@ -66,7 +66,7 @@ def _answers_in_a_sentence(verb: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-for _module in (info, estimate, map_verb, evaluate, plan, run, serve, connect, view, warmup):
+for _module in (info, estimate, map_verb, calibrate, evaluate, plan, run, serve, connect, view, warmup):
     app.command(name=_module.__name__.rpartition(".")[2])(_answers_in_a_sentence(_module.command))
 for _node in ros.app.registered_commands:
     if _node.callback is not None:

@@ -92,6 +92,8 @@ def _displacement(model, before, after, dt, wrap, xi):
     if model.signal == POSES:
         x, y, t = se2_between(before[0], before[1], before[2], after[0], after[1], after[2])
         xi[0], xi[1], xi[2] = se2_log(x, y, t)
+        for i in range(3):
+            xi[i] *= model.forward[i, i]
         return disagreement
     xi[:] = 0.0
     for wheel in range(len(before)):

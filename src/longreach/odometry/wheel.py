@@ -175,7 +175,7 @@ def _signal(record: Wheels, robot: RobotDescription, config: WheelConfig) -> _Si
         if record.pose is None and record.twist is None:
             raise EstimationError("Neither a pose nor a twist is in every odometry record; use those that have one.")
         field, kind = ("twist", RATES) if record.pose is None else ("pose", POSES)
-        return _Signal(Odometry, field, 3, _model(kind, np.eye(3), np.empty(0), 1.0, robot, config))
+        return _Signal(Odometry, field, 3, _model(kind, np.diag(robot.odometry_scale), np.empty(0), 1.0, robot, config))
     field, kind = ("speeds", RATES) if isinstance(record, WheelSpeeds) else ("ticks", COUNTS)
     base, width, unit = robot.base, len(getattr(record, field)), 1.0
     if base is None:

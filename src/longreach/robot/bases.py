@@ -27,6 +27,29 @@ class _Wheeled(BaseModel):
     wheel_radius: Length = Field(description="Radius of a wheel [m].")
 
 
+class _WithRadii(_Wheeled):
+    """Wheels whose radii differ a little, as calibration finds them."""
+
+    wheel_radii: tuple[Length, ...] | None = Field(
+        default=None, description="Radius of each wheel in the order of wheel_names [m]; null: wheel_radius of all."
+    )
+    wheel_names: tuple[str, ...]
+
+    @model_validator(mode="after")
+    def _a_radius_a_wheel(self) -> "_WithRadii":
+        if self.wheel_radii is not None and len(self.wheel_radii) != len(self.wheel_names):
+            raise ValueError(
+                f"wheel_radii must have a radius for each of the {len(self.wheel_names)} wheels, but has "
+                f"{len(self.wheel_radii)}"
+            )
+        return self
+
+    @property
+    def radii(self) -> Float[np.ndarray, " w"]:
+        """Radius of each wheel [m]."""
+        return np.array(self.wheel_radii or (self.wheel_radius,) * len(self.wheel_names))
+
+
 def _frozen(matrix: np.ndarray) -> np.ndarray:
     matrix.flags.writeable = False
     return matrix
@@ -78,7 +101,7 @@ def _sides(names: Iterable[object]) -> list[str]:
     return [_place(str(name))[1] for name in names]
 
 
-class MecanumBase(_Wheeled):
+class MecanumBase(_WithRadii):
     """Four mecanum wheels with rollers at 45°; moves in all directions.
 
     Source: (3.21), there in the order front left, rear left, rear right, front right.
@@ -135,14 +158,14 @@ class MecanumBase(_Wheeled):
     def inverse_matrix(self) -> Float[np.ndarray, "4 3"]:
         """Wheel speeds [rad/s] from a body twist."""
         rows = zip(self.roller_signs, self.wheel_corners, strict=True)
-        return _frozen(np.array([[1.0, -sign, _side(c) * self.lever] for sign, c in rows]) / self.wheel_radius)
+        return _frozen(np.array([[1.0, -sign, _side(c) * self.lever] for sign, c in rows]) / self.radii[:, None])
 
     @cached_property
     def forward_matrix(self) -> Float[np.ndarray, "3 4"]:
         """Body twist [m/s, m/s, rad/s] from wheel speeds: least squares where they disagree."""
         rows = zip(self.roller_signs, self.wheel_corners, strict=True)
         columns = [[1.0, -sign, _side(c) / self.lever] for sign, c in rows]
-        return _frozen(0.25 * self.wheel_radius * np.array(columns).T)  # (3.21)
+        return _frozen(0.25 * self.radii * np.array(columns).T)  # (3.21)
 
     @cached_property
     def residual_matrix(self) -> Float[np.ndarray, "1 4"]:
@@ -150,9 +173,7 @@ class MecanumBase(_Wheeled):
 
         It is zero while all four wheels roll, so it measures slip in every sample.
         """
-        return _frozen(
-            0.25 * self.wheel_radius * np.array([[1.0 if "front" in c else -1.0 for c in self.wheel_corners]])
-        )
+        return _frozen(0.25 * self.radii * np.array([[1.0 if "front" in c else -1.0 for c in self.wheel_corners]]))
 
 
 def _side(place: str) -> float:
@@ -160,7 +181,7 @@ def _side(place: str) -> float:
     return -1.0 if "left" in place else 1.0
 
 
-class DifferentialBase(_Wheeled):
+class DifferentialBase(_WithRadii):
     """Two driven wheels on one axle, two tracks, or any number of wheels a side (skid-steered); no motion sideways.
 
     The wheels of a side are averaged: what they disagree by is slip, which is not taken into account. Skid-steered
@@ -213,14 +234,14 @@ class DifferentialBase(_Wheeled):
     def inverse_matrix(self) -> Float[np.ndarray, "w 3"]:
         """Wheel speeds [rad/s] from a body twist; v_y has no effect."""
         rows = [[1.0, 0.0, _side(side) * self.lever] for side in self.wheel_sides]
-        return _frozen(np.array(rows) / self.wheel_radius)
+        return _frozen(np.array(rows) / self.radii[:, None])
 
     @cached_property
     def forward_matrix(self) -> Float[np.ndarray, "3 w"]:
         """Body twist [m/s, m/s, rad/s] from wheel speeds, those of a side averaged; v_y is 0 by their constraint."""
         columns = np.array([[1.0, 0.0, _side(side) / self.lever] for side in self.wheel_sides])
         counts = np.array([self.wheel_sides.count(side) for side in self.wheel_sides])
-        return _frozen(0.5 * self.wheel_radius * columns.T / counts)
+        return _frozen(0.5 * self.radii * columns.T / counts)
 
     @cached_property
     def residual_matrix(self) -> Float[np.ndarray, "0 w"]:

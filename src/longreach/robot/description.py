@@ -193,6 +193,9 @@ class RobotDescription(_Described):
         default=None, description="Whether the robot can move sideways, where no base says it; None: it can."
     )
     encoder: Encoder | None = Field(default=None, description="What the wheels' messages hold.")
+    odometry_scale: _Axes = Field(
+        default=(1.0, 1.0, 1.0), description="Of poses and twists of the robot's own driver: x, y, heading [1]."
+    )
     wheel_noise: WheelNoise = Field(default=WheelNoise(), description="How wrong its wheels are.")
     lidar: Lidar | None = Field(default=None, description="Planar laser scanner.")
     imu: ImuSensor | None = Field(default=None, description="Inertial measurement unit.")

@@ -1,0 +1,1 @@
+"""Calibration by driving: wheels and sensors from a robot's own motion, and what a run cannot show."""
