@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import _loop_closure_kernels as kernels
-from longreach.mapping.keyframes import MATCHER, Place
+from longreach.mapping.keyframes import Place, matcher
 from longreach.odometry import _local_map_kernels as map_kernels
 from longreach.odometry.local_map import LocalMap
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
@@ -32,9 +32,6 @@ _BEAMS = 200  # that are followed through a map
 _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of it
 _ROUNDING = np.diag([_CELL**2, _CELL**2, 0.02**2])  # of the search, which the window grows by
 NEAR = np.array([0.3, 0.3, 0.1])  # [m, m, rad] deviations of a fit's prior: wide against a cell
-# Of the covariance of a fit: neighbouring matches and the scans in a place share errors that its residuals do not show;
-# 1.5² is what two of four real logs ask for. At least 5 mm and 0.1°, of surfaces as cells round them.
-_WIDER, _LEAST_COVARIANCE = 2.25, np.diag([0.005**2, 0.005**2, math.radians(0.1) ** 2])
 # Gates on a fit. Of 1276 matches on four real logs that were right 90 % pass; see benchmarks/mapping.py.
 _OVERLAP = 0.4  # share of the returns that see a surface of the place, at least
 _AGREES = 0.55  # of these, the share that agrees but for noise, at least
@@ -136,20 +133,17 @@ def sampled(scan: Features) -> Float[np.ndarray, "2 m"]:
     return np.ascontiguousarray(points[:, np.sort(at[:: max(len(at) // _POINTS, 1)])])
 
 
-def fitted(scan: Features, to: LocalMap, pose: np.ndarray, free: np.ndarray, sigma: np.ndarray = NEAR) -> Fit:
-    """Fit a scan to a local map about a pose (3,); free (3,): variances along directions that it does not show."""
-    return MATCHER.fit(scan, to, Prior(pose, sigma, free, free), pose)
+def fitted(
+    scan: Features, to: LocalMap, pose: np.ndarray, free: np.ndarray, sigma: np.ndarray = NEAR, joined: int = 1
+) -> Fit:
+    """Fit joined scans to a local map about a pose (3,); free (3,): variances along directions that they do not see."""
+    return matcher(joined).fit(scan, to, Prior(pose, sigma, free, free), pose)
 
 
 def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
     """Return the share of a scan's beams that pass through a surface of a local map, in which the base is at a pose."""
     stride = max(scan.count // _BEAMS, 1)
     return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
-
-
-def covariance_of(fit: Fit) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance of a fit to old keyframes."""
-    return _WIDER * fit.covariance + _LEAST_COVARIANCE
 
 
 def compared(
@@ -169,7 +163,7 @@ def compared(
     peak = searched.best(_LEAST)
     if peak is None:
         return None
-    fit = fitted(scan, place.local_map, peak.pose, free)
+    fit = fitted(scan, place.local_map, peak.pose, free, joined=len(now.rows))
     if fit.rows == 0:
         return None
     longest = WINDOW * math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1])
@@ -177,19 +171,18 @@ def compared(
     nearer, middle = nearest(fit.pose)
     if nearer.middle != place.middle:
         place, mean = nearer, se2.between(middle, mean)
-        fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free)
+        fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free, joined=len(now.rows))
     overlap = fit.rows / scan.count
-    found = covariance_of(fit)
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),
         seen_through(scan, place.local_map, fit.pose),
         seen_through(place.keyframes[-1].features, now.local_map, se2.inverse(fit.pose)),
-        float(xi @ np.linalg.solve(covariance + found, xi)), len(fit.directions), longest,
+        float(xi @ np.linalg.solve(covariance + fit.covariance, xi)), len(fit.directions), longest,
     )  # fmt: skip
     if not math.isfinite(fit.scale) or not np.isfinite(evidence.chi2):
         return None
-    return Match(place.middle, now.middle, fit.pose, found, evidence, gate_of(evidence))
+    return Match(place.middle, now.middle, fit.pose, fit.covariance, evidence, gate_of(evidence))
 
 
 def gate_of(e: Evidence) -> str:
