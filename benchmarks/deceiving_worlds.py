@@ -24,7 +24,7 @@ from map_consistency import Drive, ate, false_closures, mapped
 
 from longreach.geometry import se2
 from longreach.io.robots import load_robot
-from longreach.mapping import mapper, solver
+from longreach.mapping import mapper
 from longreach.mapping.keyframes import ways
 from longreach.measurement import Recording
 from longreach.sim.kinematic_config import KinematicConfig
@@ -176,7 +176,7 @@ def show(drive: Drive, wheels: str, began: float) -> tuple[int, int, int]:
     """Print the line of a world; return false closures, and passes that are joined and that there are."""
     state, solved = drive.state, drive.solved
     refused, false, (joined, pairs) = sum(bool(m.gate) for m in state.matches), false_closures(drive), recalled(drive)
-    batch, _ = mapper.on_map(state.keyframes, solved.poses, solver.marginals(solved), drive.rows)
+    batch, _ = mapper.on_map(state.keyframes, solved.poses, drive.marginals, drive.rows)
     print(
         f"| {drive.recording.name} | {state.way:.0f} | {wheels} | {len(drive.closures)} | {refused} "
         f"| {len(state.matches) - refused - len(state.accepted)} | {false} | {joined / max(pairs, 1):.2f} of {pairs} "

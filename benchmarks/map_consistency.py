@@ -27,7 +27,7 @@ from longreach.evaluation.alignment import rigid_alignment
 from longreach.geometry import se2
 from longreach.io.robots import load_robot
 from longreach.localization.config import filter_for
-from longreach.mapping import mapper, solver
+from longreach.mapping import mapper
 from longreach.mapping.loop_closure import CHI2, Match
 from longreach.mapping.mapper import MapperState, PathRow
 from longreach.mapping.refinement import refined
@@ -51,12 +51,13 @@ class Drive:
     """A drive that was mapped scan by scan.
 
     rows: the localizer's path at the scans. driving (k, 3): their poses on the map as known then. took (k,): processor
-    time of the mapper's step [s]. solved: after the refinement, which took `refinement` [s].
+    time of the mapper's step [s]. solved, marginals (n, 3, 3): after the refinement, which took `refinement` [s].
     """
 
     recording: Recording
     state: MapperState
     solved: Solved
+    marginals: np.ndarray
     rows: Sequence[PathRow]
     driving: np.ndarray
     took: np.ndarray
@@ -107,9 +108,9 @@ def mapped(recording: Recording) -> Drive:
         driving.append(se2.compose(state.T_map_odom, row.pose))
     began = time.process_time()
     state = mapper.settled(state)
-    solved = refined(state.keyframes, state.poses)
+    found = refined(state.keyframes, state.poses)
     last = time.process_time() - began
-    return Drive(done.recording, state, solved, rows, np.array(driving), np.array(took), last)
+    return Drive(done.recording, state, found.solved, found.marginals, rows, np.array(driving), np.array(took), last)
 
 
 def closure_errors(drive: Drive, closures: Sequence[Match]) -> np.ndarray:
@@ -145,7 +146,7 @@ def nees_of_poses(drive: Drive) -> float:
     """Return the mean NEES of the keyframes' final poses, in the frame of the first."""
     true = drive.true_keyframes
     xi = se2.difference(se2.between(drive.solved.poses[:1], drive.solved.poses), se2.between(true[:1], true))
-    return nees(xi[1:], solver.marginals(drive.solved)[1:])
+    return nees(xi[1:], drive.marginals[1:])
 
 
 def ate(poses: np.ndarray, truth: np.ndarray) -> float:
@@ -156,7 +157,7 @@ def ate(poses: np.ndarray, truth: np.ndarray) -> float:
 
 def figures(drive: Drive) -> dict[str, float]:
     """Return what the benchmark prints of a drive."""
-    batch, _ = mapper.on_map(drive.state.keyframes, drive.solved.poses, solver.marginals(drive.solved), drive.rows)
+    batch, _ = mapper.on_map(drive.state.keyframes, drive.solved.poses, drive.marginals, drive.rows)
     accepted = len(drive.closures)
     return {
         "NEES closures": nees_of_closures(drive) if accepted else math.nan,

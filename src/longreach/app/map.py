@@ -104,10 +104,10 @@ def build_map(
         low, high = rows[i].stamp, rows[min(i + _BLOCK, len(rows)) - 1].stamp
         state = mapper.step(state, [s for s in scans if low <= s.stamp <= high], rows[i : i + _BLOCK])
     state = mapper.settled(state)
-    solved = refined(state.keyframes, state.poses, lambda fraction: tell("refinement", fraction))
+    found = refined(state.keyframes, state.poses, lambda fraction: tell("refinement", fraction))
 
     tell("evaluation", 0.0)
-    poses, covariances = mapper.on_map(state.keyframes, solved.poses, solver.marginals(solved), rows)
+    poses, covariances = mapper.on_map(state.keyframes, found.solved.poses, found.marginals, rows)
     clock = np.array([row.stamp for row in rows])
     recorded, fused = recording.as_recorded(clock), np.array([row.pose for row in rows])
     trajectories = {
@@ -121,7 +121,7 @@ def build_map(
         metrics=_with_counts(evaluation, state, closures),
         remarks=(*recording.remarks, *done.remarks, *evaluation.remarks, *_remarks(closures)),
     )
-    value = _map_of(recording, robot, laser, state, solved)
+    value = _map_of(recording, robot, laser, state, found.solved)
     return Mapped(recording, robot, config, value, closures, evaluation)
 
 
