@@ -355,7 +355,7 @@ def variance_factors(solved: Solved, known: float = 0.0) -> tuple[float, float]:
     """Return by which factors the covariances of odometry and of closures are too small, as their residuals say.
 
     A group's factor is its Σ ξᵀ Σ⁻¹ ξ over its redundancy Σ (3 - tr Σ⁻¹ P), P the covariance of T_i⁻¹ · T_j after the
-    solution: how much of the edges the others could have told. Withdrawn closures do not count.
+    solution: how much of the edges follows from the others. Withdrawn closures do not count.
     known: as much redundancy says that the factor is 1.
     Source: Förstner 1979, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten".
     """
