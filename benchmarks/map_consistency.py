@@ -109,7 +109,8 @@ def mapped(recording: Recording) -> Drive:
         driving.append(se2.compose(state.T_map_odom, row.pose))
     began = time.process_time()
     state = mapper.settled(state)
-    found = refined(state.keyframes, state.poses)
+    closures = [state.matches[a] for a in state.accepted if a not in state.withdrawn]
+    found = refined(state.keyframes, state.poses, mapper.closure_edges(closures))
     last = time.process_time() - began
     return Drive(done.recording, state, found.solved, found.marginals, rows, np.array(driving), np.array(took), last)
 

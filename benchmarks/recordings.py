@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from longreach.evaluation.relations import relation_errors, up_to
-from longreach.io.recording import read_poses
 from longreach.io.relations import read_relations
+from longreach.io.trajectory_file import read_poses
 
 SHORT_T, SHORT_R = "relations_5s_translation", "relations_5s_rotation"
 SHARE, MARGIN_T, MARGIN_R = 1.02, 0.001, 0.02  # of the law [1, m, deg]
@@ -108,7 +108,7 @@ def with_relations(checks: Checks, data: Path, out: Path, name: str, bars: Bars)
         checks.show(f"{name}, {source}, relations ≤ 5 s, rotation", found[f"{SHORT_R}_mean"]["value"], r, "deg")
     checks.law(name, metrics, f"{SHORT_T}_mean", MARGIN_T, "m")
     checks.law(name, metrics, f"{SHORT_R}_mean", MARGIN_R, "deg")
-    path = read_poses(out / name / "fused.tum")
+    path, _ = read_poses(out / name / "fused.tum")
     short = up_to(relation_errors(path, *read_relations(Path(relations))), 5.0)
     checks.show(f"{name}, fused, largest translation error ≤ 5 s", short.translation.max(), WORST_T, "m")
     checks.show(f"{name}, fused, largest rotation error ≤ 5 s", np.degrees(short.rotation.max()), WORST_R, "deg")

@@ -45,8 +45,14 @@ _WRONG = {
         ("nowhere.bag --robot thing --out out --fixes nowhere.tum", "nowhere.tum is not there"),
         ("nowhere.bag --robot thing --out out --config nowhere.yaml", "nowhere.yaml is not there"),
         ("nowhere.bag --robot thing --out a.txt/out", "cannot be written"),
+        ("nowhere.bag --robot thing --out out --topic /scan", "--topic /scan is not of the form NAME=VALUE"),
+        ("nowhere.bag --robot thing --out out --topic imu=/a --topic imu=/b", "--topic is given twice for imu"),
     ],
-    "evaluate": [("nowhere.tum --out a.txt/out", "cannot be written")],
+    "info": [("nowhere.bag --topic lidar=", "--topic lidar= is not of the form NAME=VALUE, as lidar=/scan")],
+    "evaluate": [
+        ("nowhere.tum --out a.txt/out", "cannot be written"),
+        ("nowhere.tum --out out --assume wxyz", "--assume wxyz is not of the form NAME=VALUE, as quaternion=wxyz"),
+    ],
     "serve": [
         ("--robot moon", "moon is neither a robot"),
         ("--hardware steam", "There is no hardware 'steam'"),

@@ -174,7 +174,7 @@ def test_a_bag_that_is_none_is_refused(refused, tmp_path):
     said = refused(tmp_path / "a.bag", "--robot", "thing")
     assert "a.bag cannot be read as a ROS bag, it is damaged or cut short" in said
     (tmp_path / "b.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(5000))
-    assert "b.bag cannot be read as a ROS bag" in refused(tmp_path / "b.bag", "--robot", "thing")
+    assert "b.bag is a ROS bag of a version before 2.0" in refused(tmp_path / "b.bag", "--robot", "thing")
 
 
 @pytest.mark.parametrize("name", ["run.bag", "run.mcap"])
@@ -224,7 +224,7 @@ def test_a_topic_of_a_type_that_cannot_be_read_is_refused(refused, tmp_path):
         (
             "a.log",
             "# a comment\n",
-            "holds neither FLASER nor ODOM lines, so it is no CARMEN log; it has no lines at all",
+            "holds no FLASER, ROBOTLASER, RAWLASER or ODOM lines, so it is no CARMEN log; it has no lines at all",
         ),
         ("a.log", "hello world\n", "so it is no CARMEN log; it has hello"),
         ("a.bag", "", "a.bag is empty; record or copy it again."),

@@ -45,7 +45,7 @@ def test_wrong_usage_is_code_2(run, arguments):
 
 
 def fails_with(monkeypatch, error):
-    def fail(path):
+    def fail(path, **options):
         raise error
 
     monkeypatch.setattr("longreach.io.inspect.inspect_recording", fail)

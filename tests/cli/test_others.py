@@ -1,10 +1,12 @@
 """longreach info, evaluate and warmup."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
+import longreach
 from longreach.io.bag_writer import write_bag
 from longreach.io.tum import write_tum
 from longreach.measurement import Imu
@@ -19,6 +21,28 @@ def test_info_lists_topics_rates_and_duration(run, bags, name, format):
     assert f"{name}: {format}, 1.0 s from 0.000000" in answer.out
     row = next(line.split() for line in answer.out.splitlines() if line.startswith("/joint_states"))
     assert row[1:] == ["sensor_msgs/msg/JointState", "51", "50.0", "0.020", "0"]
+
+
+def test_info_takes_topics_and_a_clock(run, bags):
+    answer = run("info", bags / "run.mcap", "--topic", "wheels=/joint_states", "--clock", "record")
+    assert answer.code == 0, answer.err
+    answer = run("info", bags / "run.mcap", "--topic", "lidar=/joint_states")
+    assert answer.code == 2
+    assert "/joint_states is of type sensor_msgs/msg/JointState, but lidar are read from" in answer.sentence
+
+
+def test_topics_and_clocks_are_for_bags(run, tmp_path):
+    (tmp_path / "a.log").write_text("ODOM 0 0 0 0 0 0 1 nohost 0")
+    for options in (("--topic", "lidar=/scan"), ("--clock", "record")):
+        answer = run("info", tmp_path / "a.log", *options)
+        assert "has neither topics nor times of recording; --topic and --clock are for bags" in answer.sentence
+        answer = run("estimate", tmp_path / "a.log", "--robot", "intel", "--out", tmp_path / "out", *options)
+        assert re.search("has no topics, so there is no /scan|has no times of recording beside", answer.sentence)
+
+
+def test_the_version_is_printed(run):
+    answer = run("--version")
+    assert (answer.code, answer.out, answer.err) == (0, f"longreach {longreach.__version__}\n", "")
 
 
 def test_info_tells_of_a_log(run, tmp_path):
@@ -46,7 +70,7 @@ def test_what_is_assumed_takes_the_place_of_what_is_described(run, tmp_path, bag
     assert "Gravity leans" in run("info", recording, *robot, "--assume", "imu.mount.roll=1.5708").out
     for assumed, sentence in (
         ("imu.colour=red", "longreach: --assume: imu.colour is not a key here"),
-        ("imu", "longreach: 'imu' assumes nothing; give NAME=VALUE"),
+        ("imu", "longreach: --assume imu is not of the form NAME=VALUE"),
     ):
         answer = run("info", recording, *robot, "--assume", assumed)
         assert answer.code == 2
@@ -124,3 +148,58 @@ def test_warmup_says_where_the_kernels_are(run):
     answer = run("warmup")
     assert answer.code == 0, answer.err
     assert answer.out.startswith("All kernels are compiled (")
+
+
+def kitti(path, trajectory):
+    x, y, heading = trajectory.poses.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    c, s = np.cos(heading), np.sin(heading)
+    np.savetxt(path, np.column_stack([c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]))
+    return path
+
+
+def ate(out):
+    return json.loads((out / "metrics.json").read_text())["mine"]["ate_rmse"]["value"]
+
+
+def test_evaluate_gives_poses_of_kitti_the_stamps_of_the_other_file(run, tmp_path, truth):
+    write_tum(tmp_path / "truth.tum", truth)
+    bent = PoseTrajectory(truth.stamps, truth.poses * np.array([1.1, 1.0, 1.0]))
+    write_tum(tmp_path / "mine.tum", bent)
+    answer = run("evaluate", tmp_path / "mine.tum", "--truth", tmp_path / "truth.tum", "--out", tmp_path / "tum")
+    assert answer.code == 0, answer.err
+    pairs = [
+        ("mine.txt", "truth.tum", "note: mine.txt: poses of KITTI have no stamps; those of truth.tum are taken"),
+        ("mine.tum", "truth.txt", "note: truth.txt: poses of KITTI have no stamps; those of mine.tum are taken"),
+        ("mine.txt", "truth.txt", "note: mine.txt: poses of KITTI have no stamps; the numbers of lines are taken"),
+    ]
+    kitti(tmp_path / "mine.txt", bent)
+    kitti(tmp_path / "truth.txt", truth)
+    for i, (mine, known, said) in enumerate(pairs):
+        answer = run("evaluate", tmp_path / mine, "--truth", tmp_path / known, "--out", tmp_path / str(i))
+        assert answer.code == 0, answer.err
+        assert said in answer.out
+        assert ate(tmp_path / str(i)) == pytest.approx(ate(tmp_path / "tum"), rel=1e-6)
+
+
+def test_evaluate_refuses_poses_without_stamps_that_are_not_as_many(run, tmp_path, truth):
+    write_tum(tmp_path / "mine.tum", PoseTrajectory(truth.stamps[:50], truth.poses[:50]))
+    kitti(tmp_path / "truth.txt", truth)
+    answer = run("evaluate", tmp_path / "mine.tum", "--truth", tmp_path / "truth.txt", "--out", tmp_path / "out")
+    assert answer.code == 2
+    assert "have no stamps, and" in answer.sentence
+    assert answer.sentence.endswith("put their times.txt beside truth.txt.")
+
+
+def test_evaluate_takes_what_is_known_of_the_files(run, tmp_path, truth):
+    write_tum(tmp_path / "mine.tum", truth)
+    lines = [line.split() for line in (tmp_path / "mine.tum").read_text().splitlines()[1:]]
+    (tmp_path / "truth.txt").write_text("\n".join(" ".join([*w[:4], w[7], *w[4:7]]) for w in lines))
+    for options in ((), ("--assume", "quaternion=wxyz")):
+        out = tmp_path / f"out{len(options)}"
+        command = ("evaluate", tmp_path / "mine.tum", "--truth", tmp_path / "truth.txt", "--out", out)
+        answer = run(*command, *options)
+        assert ate(out) < 1e-6
+        assert ("note: truth.txt: its quaternions are taken for w x y z" in answer.out) == (not options)
+    answer = run(*command, "--assume", "colour=red")
+    assert "colour=red is nothing that can be assumed of a trajectory" in answer.sentence

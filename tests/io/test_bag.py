@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from longreach.errors import RecordingError
+from longreach.errors import ConfigError, RecordingError
 from longreach.geometry import se3
 from longreach.io import messages
 from longreach.io.bag import read_bag
+from longreach.io.bag_info import inspect
 from longreach.io.bag_writer import new_bag
 from longreach.measurement import Imu, LaserScan, Odometry, PoseMeasurement, WheelSpeeds, WheelTicks
 from longreach.robot.bases import DifferentialBase
@@ -61,6 +62,7 @@ class Bag:
         return self
 
     def read(self, robot, **options):
+        self.path.unlink(missing_ok=True) if self.path.suffix == ".mcap" else None
         with new_bag(self.path) as bag:
             for topic, make, at in self.rows:
                 bag.write(topic, make(bag.types), at)
@@ -267,3 +269,38 @@ def test_progress_goes_from_nothing_to_all(mcap):
     assert told[-1] == 1.0
     assert told == sorted(told)
     assert len(told) == 4
+
+
+def test_topics_that_are_asked_for_come_before_those_of_the_description(mcap):
+    mcap.scan("/front", 1.0).scan("/back", 2.0).scan("/back", 3.0)
+    assert len(mcap.read(robot(lidar="/front"), topics={"lidar": "/back"}).scans) == 2
+
+
+@pytest.mark.parametrize(
+    ("topics", "error", "said"),
+    [
+        (
+            {"lidar": "/side"},
+            RecordingError,
+            r"has no topic /side for lidar; it has /front \(sensor_msgs/msg/LaserScan\)",
+        ),
+        ({"imu": "/front"}, RecordingError, "/front is of type sensor_msgs/msg/LaserScan, but imu are read from"),
+        ({"nose": "/front"}, ConfigError, "nose is no sensor that has a topic; there are wheels, lidar, imu, truth"),
+    ],
+)
+def test_a_topic_that_was_asked_for_must_be_there(mcap, topics, error, said):
+    mcap.scan("/front", 1.0)
+    for read in (lambda: mcap.read(robot(), topics=topics), lambda: inspect(mcap.path, topics=topics)):
+        with pytest.raises(error, match=said):
+            read()
+
+
+def test_the_clock_may_be_that_of_the_recording(mcap):
+    for stamp, at in ((1.0, 10.0), (0.5, 10.2), (2.0, 10.3)):
+        mcap.joints("/j", stamp, WHEELS, np.zeros(2), np.ones(2), at=at)
+    mcap.pose("/truth", 5.0, [1.0, 2.0, 0.5])
+    found = mcap.read(robot(), clock="record", topics={"truth": "/truth"})
+    assert [reading.stamp for reading in found.wheels] == [10.0, 10.2, 10.3]
+    assert (found.truth.stamps.tolist(), found.recorded_stamps, found.remarks) == ([5.0], {}, ())
+    assert [t.backward_stamps for t in inspect(mcap.path, clock="record").topics] == [0, 0]
+    assert [t.backward_stamps for t in inspect(mcap.path).topics] == [1, 0]

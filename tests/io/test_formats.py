@@ -27,7 +27,7 @@ def made(path, content=b"text"):
         ("a", MCAP_MAGIC, "mcap"),
         ("a.db3", b"anything", "sqlite"),
         ("a", b"SQLite format 3\0", "sqlite"),
-        ("a.bag.gz", gzip.compress(b"anything"), "ros1"),
+        ("a.bag.gz", gzip.compress(b"anything", mtime=0), "ros1"),
         ("a.MCAP.zstd", b"\x28\xb5\x2f\xfd", "mcap"),
         ("a.db3.zst", b"\x28\xb5\x2f\xfd", "sqlite"),
     ],
@@ -86,8 +86,8 @@ EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.rawlog", gzip.compress(b"\x8fCSensoryFrame\x02"), "an MRPT rawlog, .*; convert it to a bag or an MCAP"),
-        ("a.bin", gzip.compress(b"\x8fCSensoryFrame\x02"), "an MRPT rawlog"),
+        ("a.rawlog", gzip.compress(b"\x8fCSensoryFrame\x02", mtime=0), "an MRPT rawlog, .*; convert it to a bag or an MCAP"),
+        ("a.bin", gzip.compress(b"\x8fCSensoryFrame\x02", mtime=0), "an MRPT rawlog"),
         ("a.bin", b"\x9bmrpt::obs::CActionCollection", "an MRPT rawlog"),
         ("a.g2o", b"# a graph\n", "a g2o pose graph, .*; it holds poses and no readings of sensors"),
         ("a.txt", b"VERTEX_SE2 0 0 0 0\n", "a g2o pose graph"),

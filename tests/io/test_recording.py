@@ -7,7 +7,8 @@ from longreach.errors import RecordingError
 from longreach.io.bag_writer import write_bag
 from longreach.io.config import load_description
 from longreach.io.inspect import inspect_recording
-from longreach.io.recording import read_poses, read_recording
+from longreach.io.recording import read_recording
+from longreach.io.trajectory_file import read_poses
 from longreach.io.tum import write_tum
 from longreach.sim.kinematic import make_recording
 from longreach.trajectory import PoseTrajectory
@@ -55,9 +56,9 @@ def test_a_topic_of_what_has_none_is_refused(carmen):
 
 def test_references_are_told_by_their_first_line(tmp_path, carmen, brenner):
     write_tum(tmp_path / "a.tum", PoseTrajectory(np.array([3.0]), np.array([[1.0, 2.0, 0.5]])))
-    np.testing.assert_allclose(read_poses(tmp_path / "a.tum").poses, [[1.0, 2.0, 0.5]], atol=1e-11)
-    np.testing.assert_allclose(read_poses(carmen).poses[0], [0.5, 0.6, 0.7])
-    np.testing.assert_allclose(read_poses(brenner / "a_reference.txt").poses, [[0.001, 0.002, 0.0]])
+    np.testing.assert_allclose(read_poses(tmp_path / "a.tum")[0].poses, [[1.0, 2.0, 0.5]], atol=1e-11)
+    np.testing.assert_allclose(read_poses(carmen)[0].poses[0], [0.5, 0.6, 0.7])
+    np.testing.assert_allclose(read_poses(brenner / "a_reference.txt")[0].poses, [[0.001, 0.002, 0.0]])
 
 
 @pytest.mark.parametrize("text", ["", "# a comment\n"])

@@ -11,7 +11,7 @@ from longreach.measurement import Odometry, WheelSpeeds, WheelTicks
 from longreach.odometry import wheel
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.wheel import WheelConfig, wheel_odometry
-from longreach.robot.bases import DifferentialBase, MecanumBase
+from longreach.robot.bases import AckermannBase, DifferentialBase, MecanumBase
 from longreach.robot.description import Encoder, RobotDescription, WheelNoise
 
 THING = RobotDescription(
@@ -195,7 +195,8 @@ def test_an_encoder_of_known_width_wraps_without_a_break(bits):
     found = wheel_odometry(wrapped, robot)
     assert found.breaks == 0
     np.testing.assert_allclose(path(wrapped, robot).poses[-1], path(wheels, robot).poses[-1], atol=1e-6)
-    assert wheel_odometry(wrapped, CART).breaks > 0
+    unknown = wheel_odometry(wrapped, CART)
+    assert (unknown.breaks, unknown.wraps, unknown.wrap_range) == (0, 2, 2 * half)
 
 
 @pytest.mark.parametrize("late", [1, 2, 50])
@@ -481,3 +482,18 @@ def test_records_that_are_not_finite_before_the_first_good_one_leave_the_start_o
     state, steps = blocks(wheels, THING, None, [1])
     assert bits(steps) == bits(wheel_odometry(wheels[1:], THING).measurements)
     assert state.refused == 1
+
+
+@pytest.mark.parametrize("signal", ["speed", "angle"])
+def test_a_car_drives_the_circle_that_it_is_steered_on(signal):
+    base = AckermannBase(wheel_radius=0.1, wheelbase=0.5, track_width=0.4, rear_wheels=("l", "r"), steering="s")
+    car = RobotDescription(name="car", base=base, encoder={"signal": signal})
+    v, steering = 0.6, 0.3
+    omega = v * np.tan(steering) / 0.5
+    wheels = np.array([v - 0.2 * omega, v + 0.2 * omega]) / 0.1
+    stamps = (0.02 * np.arange(101)).tolist()
+    if signal == "speed":
+        taken = [WheelSpeeds(t, np.array([*wheels, steering])) for t in stamps]
+    else:
+        taken = [WheelTicks(t, np.array([*wheels * t, steering])) for t in stamps]
+    np.testing.assert_allclose(path(taken, car).poses[-1], se2.exp(2.0 * np.array([v, 0.0, omega])), atol=1e-12)

@@ -106,8 +106,8 @@ def test_a_differential_base_needs_a_left_and_a_right_wheel(names):
     ],
 )
 def test_usual_names_of_wheels_say_their_corners(names):
-    assert mecanum(names).corners == ROLES
-    assert differential(names).sides == ("left", "left", "right", "right")
+    assert mecanum(names).wheel_corners == ROLES
+    assert differential(names).wheel_sides == ("left", "left", "right", "right")
 
 
 def test_corners_and_sides_are_said_apart_from_names(rng):

@@ -23,7 +23,7 @@ def test_meaningless_axes_and_links_with_our_names_are_no_trouble(cases, case, m
 @pytest.mark.parametrize("name", ["back", "short"])
 def test_mecanum_wheels_of_any_names_load(cases, name):
     base = lr.load_robot(cases / "a14_wheel_names" / f"{name}.yaml").description.base
-    assert base.corners == ("front_left", "rear_left", "rear_right", "front_right")
+    assert base.wheel_corners == ("front_left", "rear_left", "rear_right", "front_right")
 
 
 def test_a_skid_steered_base_loads(cases):

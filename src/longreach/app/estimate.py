@@ -292,6 +292,10 @@ def _remarks(wheels: WheelOdometry, done: Done) -> list[str]:
     remarks, matches = [], done.output.matches
     if wheels.refused:
         remarks.append(f"{wheels.refused} records of the wheels are not finite; they were passed over.")
+    if wheels.wraps:
+        remarks.append(
+            f"The wheels' readings start again after {wheels.wrap_range:g}; they were continued {wheels.wraps} times."
+        )
     if wheels.breaks:
         remarks.append(f"The wheels' counts jumped {wheels.breaks} times; nothing was taken across the jumps.")
     if done.state.now.fixed:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from longreach.app.configuration import EvaluationConfig
-from longreach.errors import LongreachError
+from longreach.errors import LongreachError, RecordingError
 from longreach.estimation.planar.state import Correction
 from longreach.evaluation import metrics as errors
 from longreach.evaluation.alignment import associate
@@ -18,8 +18,8 @@ from longreach.evaluation.glitches import drop_glitches
 from longreach.evaluation.relations import RelationErrors, relation_errors, relation_metrics
 from longreach.evaluation.tables import Metric, metric
 from longreach.geometry import se2
-from longreach.io.recording import read_poses
 from longreach.io.relations import read_relations
+from longreach.io.trajectory_file import has_stamps, read_poses, stamped_like
 from longreach.io.tum import read_tum
 from longreach.measurement import RelativePoseMeasurement
 from longreach.trajectory import PoseTrajectory
@@ -74,26 +74,68 @@ def evaluate(
     return Evaluation(known, metrics, compared, config, remarks)
 
 
-def evaluate_files(estimate: Path, truth: Path | None, relations: Path | None, progress: Progress) -> Evaluation:
-    """Read and compare a TUM file, or all trajectories in the folder of an estimate; its own truth unless one is given.
+def evaluate_files(
+    estimate: Path,
+    truth: Path | None,
+    relations: Path | None,
+    progress: Progress,
+    assume: Mapping[str, str] | None = None,
+) -> Evaluation:
+    """Read and compare a file, or all trajectories in the folder of an estimate; its own truth unless one is given.
+
+    A file of KITTI has no stamps: without times.txt beside it, it takes those of what it is compared with, line by
+    line.
+
+    Arguments: assume: as `read_poses` takes it, for the files that are named.
 
     Raises:
         LongreachError: there is nothing to compare, or nothing to compare with.
     """
     progress("reading", 0.0)
-    trajectories = _read_estimate(estimate)
-    own = trajectories.pop("truth", None)
-    reference = read_poses(truth) if truth is not None else own
+    trajectories, remarks = _read_estimate(estimate, assume)
+    reference = trajectories.pop("truth", None)
+    if truth is not None:
+        reference, said = read_poses(truth, assume=assume)
+        remarks += said
+        trajectories, reference, said = _with_stamps(estimate, trajectories, truth, reference)
+        remarks += said
     if reference is None and relations is None:
         raise LongreachError(f"There is nothing to compare {estimate} with; give --truth or --relations.")
     progress("evaluation", 0.0)
     compared = Relations(*read_relations(relations)) if relations is not None else None
-    return evaluate(trajectories, reference, compared)
+    found = evaluate(trajectories, reference, compared)
+    return replace(found, remarks=(*remarks, *found.remarks))
 
 
-def _read_estimate(path: Path) -> dict[str, PoseTrajectory]:
+def _with_stamps(
+    estimate: Path, trajectories: dict[str, PoseTrajectory], truth: Path, reference: PoseTrajectory
+) -> tuple[dict[str, PoseTrajectory], PoseTrajectory, tuple[str, ...]]:
+    """Give poses without stamps those of the other file, line by line; where neither has any, the numbers of lines."""
+    has_own = estimate.is_dir() or has_stamps(estimate)
+    if has_own and has_stamps(truth):
+        return trajectories, reference, ()
+    bare, other = (truth, estimate) if has_own else (estimate, truth)
+    if bare is truth:
+        known = next((path for path in trajectories.values() if len(path) == len(reference)), None)
+        matched = None if known is None else stamped_like(reference, known)
+        reference = reference if matched is None else matched
+    else:
+        ((name, path),) = trajectories.items()
+        matched = stamped_like(path, reference)
+        trajectories = {name: path if matched is None else matched}
+    if matched is None:
+        raise RecordingError(
+            f"The poses of KITTI in {bare} have no stamps, and {other} has not as many poses; put their times.txt "
+            f"beside {bare.name}."
+        )
+    taken = f"those of {other.name}" if has_own or has_stamps(truth) else "the numbers of lines"
+    return trajectories, reference, (f"{bare.name}: poses of KITTI have no stamps; {taken} are taken, line by line.",)
+
+
+def _read_estimate(path: Path, assume: Mapping[str, str] | None) -> tuple[dict[str, PoseTrajectory], tuple[str, ...]]:
     if not path.is_dir():
-        return {"estimate" if path.stem == "truth" else path.stem: read_poses(path)}
+        read, remarks = read_poses(path, assume=assume)
+        return {"estimate" if path.stem == "truth" else path.stem: read}, remarks
     found = {file.stem: read_tum(file) for file in sorted(path.glob("*.tum")) if not file.stem.startswith("tool")}
     if not set(found) - {"truth"}:
         raise LongreachError(f"{path} holds no trajectories (*.tum).")
@@ -105,7 +147,8 @@ def _read_estimate(path: Path) -> dict[str, PoseTrajectory]:
                 if P is not None and P.shape == (len(trajectory), 3, 3):
                     found[name] = replace(trajectory, covariance=P)
     order = ["fused", "localized", "smoothed", "wheels", "lidar"]  # the order of all tables and legends
-    return dict(sorted(found.items(), key=lambda item: (order.index(item[0]) if item[0] in order else 9, item[0])))
+    rank = {name: order.index(name) if name in order else 9 for name in found}
+    return {name: found[name] for name in sorted(found, key=lambda name: (rank[name], name))}, ()
 
 
 def path_length(trajectory: PoseTrajectory) -> float:

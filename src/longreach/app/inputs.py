@@ -1,17 +1,19 @@
 """What a command line names, read and checked: a recording, a robot, settings, references."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from longreach.app.configuration import EstimateConfig
 from longreach.app.evaluate import Relations
-from longreach.errors import ConfigError
+from longreach.errors import ConfigError, RecordingError
 from longreach.io.config import assuming, load_description, read_config, validated
-from longreach.io.recording import read_poses, read_recording
+from longreach.io.recording import read_recording
 from longreach.io.relations import read_relations
+from longreach.io.trajectory_file import has_stamps, read_poses
 from longreach.measurement import PoseMeasurement, Recording
 from longreach.robot.description import RobotDescription
 from longreach.trajectory import PoseTrajectory
@@ -43,14 +45,16 @@ def open_run(
     fix_period: float = 0.0,
     smooth: bool = False,
     compare: bool = False,
-    assume: Sequence[str] = (),
+    assume: Mapping[str, str] | None = None,
+    topics: Mapping[str, str] | None = None,
+    clock: Literal["header", "record"] = "header",
     progress: Progress | None = None,
 ) -> Run:
     """Read everything, the small files first, so that what is wrong with them is said at once.
 
     Arguments: truth: a file, or else a topic of the recording. sources: names with commas between. fixes: positions in
     a file, taken no more often than every `fix_period` [s] with a standard deviation of `fix_sigma` [m]. assume: keys
-    of the description that the recording cannot say, as NAME=VALUE.
+    of the description that the recording cannot say, and their values as YAML. topics, clock: as of `read_recording`.
     """
     description = assuming(load_description(robot), assume)
     settings = read_config(config, EstimateConfig) if config is not None else EstimateConfig()
@@ -75,11 +79,23 @@ def open_run(
         description,
         lambda fraction: tell("reading", min(fraction, 1.0)),
         truth_topic=None if is_file else truth,
+        topics=topics,
+        clock=clock,
     )
     if fixes is not None:
-        read = read.replace(fixes=_fixes(read_poses(fixes, read), fix_sigma, fix_period))
-    reference = read_poses(Path(truth), read) if truth is not None and is_file else None
+        positions, said = _stamped_poses(fixes, read)
+        read = read.replace(fixes=_fixes(positions, fix_sigma, fix_period), remarks=(*read.remarks, *said))
+    reference = None
+    if truth is not None and is_file:
+        reference, said = _stamped_poses(Path(truth), read)
+        read = read.replace(remarks=(*read.remarks, *said))
     return Run(read, description, settings, reference, compared)
+
+
+def _stamped_poses(path: Path, recording: Recording) -> tuple[PoseTrajectory, tuple[str, ...]]:
+    if not has_stamps(path):
+        raise RecordingError(f"The poses of KITTI in {path} have no stamps; put their times.txt beside it.")
+    return read_poses(path, recording)
 
 
 def _fixes(path: PoseTrajectory, sigma: float, period: float) -> tuple[PoseMeasurement, ...]:

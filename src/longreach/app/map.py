@@ -1,4 +1,4 @@
-"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like the method section of a paper."""
+"""Mapping: a recording in, a map and an optimised trajectory out. `build_map` reads like a paper's method section."""
 
 import csv
 from collections import Counter
@@ -104,7 +104,11 @@ def build_map(
         low, high = rows[i].stamp, rows[min(i + _BLOCK, len(rows)) - 1].stamp
         state = mapper.step(state, [s for s in scans if low <= s.stamp <= high], rows[i : i + _BLOCK])
     state = mapper.settled(state)
-    found = refined(state.keyframes, state.poses, lambda fraction: tell("refinement", fraction))
+    held = [a for a in state.accepted if a not in state.withdrawn]
+    edges = mapper.closure_edges([state.matches[a] for a in held])
+    found = refined(state.keyframes, state.poses, edges, lambda fraction: tell("refinement", fraction))
+    weights = found.solved.weights
+    accepted = {a for a, weight in zip(held, weights, strict=False) if weight > 0.5}  # they come first
 
     tell("evaluation", 0.0)
     poses, covariances = mapper.on_map(state.keyframes, found.solved.poses, found.marginals, rows)
@@ -115,7 +119,7 @@ def build_map(
         "fused": PoseTrajectory(recorded, fused, np.array([row.covariance for row in rows]), clock),
     }
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    closures = _closures(state)
+    closures = _closures(state, accepted)
     evaluation = replace(
         evaluation,
         metrics=_with_counts(evaluation, state, closures),
@@ -135,15 +139,14 @@ def _map_of(
     return Map(solved.graph, solved.weights, scans, twists, np.zeros(n, dtype=int), (session,))
 
 
-def _closures(state: MapperState) -> tuple[Closure, ...]:
-    """Return what became of each match."""
-    accepted, withdrawn = set(state.accepted), set(state.withdrawn)
+def _closures(state: MapperState, accepted: set[int]) -> tuple[Closure, ...]:
+    """Return what became of each match; accepted: those that have weight in the end."""
     found = []
     for a, match in enumerate(state.matches):
-        if a in withdrawn:
-            found.append(Closure(match, "withdrawn", "The other closures contradict it."))
-        elif a in accepted:
+        if a in accepted:
             found.append(Closure(match, "accepted", ""))
+        elif a in state.accepted:
+            found.append(Closure(match, "withdrawn", "Other closures contradict it."))
         elif match.gate:
             found.append(Closure(match, "refused", loop_closure.reason_of(match)))
         else:

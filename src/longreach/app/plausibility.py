@@ -28,7 +28,7 @@ _TURNED, _GONE = 2.0, 1.0  # [rad, m] that a run has to show before sources are 
 _FEWEST = 12  # windows
 # Share by which sources may differ: of wheels, which scrub and slip, the turn, the way; of a gyro.
 _WHEELS_TURN, _WHEELS_WAY, _GYRO = 0.5, 0.3, 0.15
-_AGREE = 0.8  # correlation below which sources have nothing to do with each other
+_AGREE = 0.6  # correlation below which sources have nothing to do with each other
 _ASKEW = np.radians(10.0)  # between the directions in which wheels and scans go
 _ASIDE = 0.05  # [m] that a laser may stand off where it is taken to be
 _ALIKE = 0.9  # correlation that sources have to reach where their clocks are said to differ

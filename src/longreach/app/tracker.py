@@ -122,7 +122,12 @@ def check_plan(
     """Raise a ControlError where a plan is of other joints than the robot's, or does not begin near q (n,)."""
     if plan.q.shape[1] != robot.dof:
         raise ControlError(f"The plan is of {plan.q.shape[1]} joints, but {robot.name} has {robot.dof}.")
-    away = float(np.abs(plan.q[0] - q).max())
+    apart = plan.q[0] - q
+    if robot.base.stop:
+        apart[2] = (
+            np.remainder(apart[2] + np.pi, 2 * np.pi) - np.pi
+        )  # the estimate's heading is wrapped, a plan's is not
+    away = float(np.abs(apart).max())
     if away > config.safety.position_lag:
         raise ControlError(f"The plan begins {away:.2f} rad or m away from where the robot is; plan from there.")
 

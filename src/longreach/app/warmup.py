@@ -176,6 +176,24 @@ def _mapping() -> None:
     scans = tuple(LaserScan(0.0, np.ones(3), 0.0, 0.1) for _ in range(3))
     session = Session("warm", "none", {"laser": np.eye(4)})
     render(Map(solved.graph, solved.weights, scans, np.zeros((3, 3)), np.zeros(3, dtype=int), (session,)))
+    _loop()
+
+
+def _loop() -> None:
+    """Close a loop in a box of walls, to and fro."""
+    from longreach.mapping import mapper
+    from longreach.mapping.mapper import PathRow
+    from longreach.mapping.refinement import refined
+    from longreach.measurement import LaserScan
+    from longreach.sim.room import box, cast
+
+    x = np.concatenate([np.arange(0.0, 6.0, 0.5), np.arange(6.0, -0.1, -0.5)])
+    poses = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
+    ranges = cast(box(3.0, 1.0, 10.0, 6.0, 0.1), poses, -np.pi + 0.07 * np.arange(90))
+    rows = [PathRow(float(k), pose, (0.01 * k + 1e-3) * np.eye(3)) for k, pose in enumerate(poses)]
+    scans = [LaserScan(float(k), r, -np.pi, 0.07) for k, r in enumerate(ranges)]
+    state = mapper.settled(mapper.step(mapper.init(np.eye(4)), scans, rows))
+    refined(state.keyframes, state.poses, state.graph.graph.closures)  # type: ignore[union-attr]
 
 
 def _sim() -> None:

@@ -5,8 +5,7 @@ from typing import Any
 
 import typer
 
-from longreach.cli import estimate_in_space
-from longreach.cli.options import ASSUME
+from longreach.cli import estimate_in_space, input_options
 from longreach.cli.progress import shown_progress
 from longreach.cli.tables import print_metrics
 
@@ -27,15 +26,28 @@ def command(
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
     compare: bool = typer.Option(False, "--compare", help="LIDAR odometry alone as well: lidar.tum."),
-    assume: list[str] = ASSUME,
+    assume: list[str] = input_options.ASSUME,
     smooth: bool = typer.Option(False, "--smooth", help="Look back over the whole run as well: smoothed.tum."),
+    topic: list[str] = input_options.TOPIC,
+    clock: input_options.Clock = input_options.CLOCK,
     node: str | None = estimate_in_space.NODE,
     filter: str | None = estimate_in_space.FILTER,
     transform: list[str] = estimate_in_space.TRANSFORM,
     as_robot_localization: bool = estimate_in_space.AS_ROBOT_LOCALIZATION,
 ) -> None:
     """Estimate a recording and write trajectories, covariances, metrics, figures and a report into a folder."""
-    planar = {"robot": robot, "truth": truth, "relations": relations, "sources": sources, "fixes": fixes}
+    planar: dict[str, Any] = {
+        "robot": robot,
+        "truth": truth,
+        "relations": relations,
+        "sources": sources,
+        "fixes": fixes,
+    }
+    planar |= {
+        "assume": assume or None,
+        "topic": topic or None,
+        "clock": None if clock is input_options.Clock.header else clock,
+    }
     spatial = {"node": node, "filter": filter, "transforms": transform}
     spatial["as_robot_localization"] = as_robot_localization
     if estimate_in_space.is_meant(config, planar, spatial):
@@ -47,9 +59,11 @@ def command(
             "fix_period": fix_period,
             "smooth": smooth,
             "compare": compare,
-            "assume": assume,
+            "assume": input_options.named_values("--assume", planar.pop("assume") or (), "lidar.mount.yaw=3.14"),
+            "topics": input_options.named_values("--topic", planar.pop("topic") or (), "lidar=/scan"),
+            "clock": clock.value,
         }
-        _run(recording, out, settings | planar)
+        _run(recording, out, planar | settings)
 
 
 def _run(recording: Path, out: Path, options: dict[str, Any]) -> None:

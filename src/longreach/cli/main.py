@@ -22,8 +22,22 @@ app = typer.Typer(
 _options = {"verbose": False}
 
 
+def _print_version(wanted: bool) -> bool:
+    if wanted:
+        from longreach import __version__
+
+        typer.echo(f"longreach {__version__}")
+        raise typer.Exit
+    return wanted
+
+
 @app.callback()
-def _read_options(verbose: bool = typer.Option(False, "--verbose", help="Show the traceback of an error.")) -> None:
+def _read_options(
+    verbose: bool = typer.Option(False, "--verbose", help="Show the traceback of an error."),
+    version: bool = typer.Option(
+        False, "--version", is_eager=True, callback=_print_version, help="Print the version and end."
+    ),
+) -> None:
     _options["verbose"] = verbose
 
 

@@ -1,17 +1,12 @@
-"""Options that several verbs have: what is assumed of a robot, secrets of the network, and how long something lasts."""
+"""Options that several verbs have: secrets of the network, and how long something lasts."""
 
 import math
 import os
 from pathlib import Path
 
-import typer
-
 from longreach.errors import ConfigError
 
 TOKEN, WATCHER_TOKEN = "LONGREACH_TOKEN", "LONGREACH_WATCHER_TOKEN"
-ASSUME: list[str] = typer.Option(
-    [], metavar="NAME=VALUE", help="A key of the description that the recording cannot say, as lidar.mount.yaw=3.14."
-)
 
 
 def read_token(file: Path | None, variable: str = TOKEN) -> str | None:

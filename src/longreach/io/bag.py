@@ -14,7 +14,15 @@ import numpy as np
 from longreach.errors import RecordingError
 from longreach.io import clocks, records
 from longreach.io.bag_file import BagFile, Topic, open_bag
-from longreach.io.bag_topics import JOINT_STATE, ODOMETRY, TRANSFORMS, choose_topics, listed
+from longreach.io.bag_topics import (
+    JOINT_STATE,
+    ODOMETRY,
+    TRANSFORMS,
+    check_topics,
+    choose_topics,
+    listed,
+    with_topics,
+)
 from longreach.io.clocks import Clock
 from longreach.io.frames import FrameTree, is_base
 from longreach.measurement import Recording
@@ -53,6 +61,7 @@ def read_bag(
     progress: Callable[[float], None] | None = None,
     *,
     truth_topic: str | None = None,
+    topics: Mapping[str, str] | None = None,
     clock: Clock = "header",
 ) -> Recording:
     """Read the topics that the robot's description names, or the only one of a sensor's type.
@@ -60,15 +69,18 @@ def read_bag(
     Messages stay in the order in which they were recorded. Stamps are put on one clock (`io.clocks`); where those of a
     sensor run backwards a repaired clock takes their place (`Recording.recorded_stamps`).
 
-    Arguments: progress: called with how far it is, 0 to 1. truth_topic: in place of `robot.topics.truth`. clock: header
-    takes the stamps of the headers, record the times of recording.
+    Arguments: progress: called with how far it is, 0 to 1. truth_topic: in place of `robot.topics.truth`.
+    topics: likewise of sensors, as {"lidar": "/scan"}; they must be there. clock: what stamps the readings: their
+    headers, or the times of recording.
 
     Raises:
         RecordingError: the bag is damaged, or a topic is missing, ambiguous or of the wrong type.
     """
+    robot = with_topics(robot, topics or {})
     with open_bag(path) as bag:
         if not bag.topics:
             raise RecordingError(f"{path} holds no messages; record it again.")
+        check_topics(bag, topics or {})
         chosen, remarks = choose_topics(bag, robot, truth_topic)
         if not chosen.keys() & {"wheels", "lidar", "imu"}:
             raise RecordingError(f"{path} has neither wheels nor LIDAR nor IMU; it has {listed(bag.topics)}.")

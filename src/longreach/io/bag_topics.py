@@ -1,9 +1,9 @@
 """Which topic of a bag is which sensor: as the robot's description says, else the only one of the right type."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 
-from longreach.errors import RecordingError
+from longreach.errors import ConfigError, RecordingError
 from longreach.io.bag_file import BagFile, Topic
 from longreach.robot.description import RobotDescription
 
@@ -32,6 +32,16 @@ SETTLED = "/odometry/settled"
 USUAL = {"joints": "/arm/joint_states", "wrench": "/wrench"}
 _FOUND_BY_TYPE = ("wheels", "lidar", "imu")
 _NAMES_IN = 20  # messages to look for wheels in; several nodes may share a topic
+
+
+def with_topics(robot: RobotDescription, topics: Mapping[str, str]) -> RobotDescription:
+    """Return a description with other topics, as {"lidar": "/scan"}.
+
+    Raises:
+        ConfigError: there is no such sensor.
+    """
+    _check_sensors(topics)
+    return robot.model_copy(update={"topics": robot.topics.model_copy(update=dict(topics))})
 
 
 def choose_topics(
@@ -73,6 +83,25 @@ def choose_topics(
             "wheels among them; describe its base, or name a topic of nav_msgs/msg/Odometry as topics.wheels."
         )
     return chosen, tuple(remarks)
+
+
+def _check_sensors(topics: Mapping[str, str]) -> None:
+    if unknown := sorted(topics.keys() - _TYPES.keys()):
+        raise ConfigError(f"{unknown[0]} is no sensor that has a topic; there are {', '.join(_TYPES)}.")
+
+
+def check_topics(bag: BagFile, topics: Mapping[str, str]) -> None:
+    """Check that a bag has these topics of sensors, as {"lidar": "/scan"}.
+
+    Raises:
+        ConfigError: there is no such sensor.
+        RecordingError: a topic is missing or of the wrong type.
+    """
+    _check_sensors(topics)
+    for role, name in topics.items():
+        if all(topic.name != name for topic in bag.topics):
+            raise RecordingError(f"{bag.path} has no topic {name} for {role}; it has {listed(bag.topics)}.")
+        _named(bag, role, name)
 
 
 def listed(topics: Sequence[Topic]) -> str:

@@ -1,6 +1,6 @@
 """Configuration as YAML: read and checked against a model, written with every key that ran."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -50,7 +50,7 @@ def validated(model: type[Model], values: Any, where: str) -> Model:
 
 def _sentence(model: type[BaseModel], error: ValidationError) -> str:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"] if part not in ("mecanum", "differential", "omni"))
+    key = ".".join(str(part) for part in first["loc"] if part not in ("mecanum", "differential", "omni", "ackermann"))
     more = f" ({len(error.errors()) - 1} more keys are wrong.)" if len(error.errors()) > 1 else ""
     if first["type"] == "extra_forbidden":
         known = ", ".join(_keys_at(model, first["loc"][:-1]))
@@ -113,24 +113,21 @@ def description_file(robot: str | Path) -> Path:
     return path
 
 
-def assuming(description: RobotDescription, assumptions: Sequence[str]) -> RobotDescription:
-    """Return a description with some of its keys changed, each given as NAME=VALUE: lidar.mount.yaw=3.14159.
+def assuming(description: RobotDescription, assumed: Mapping[str, str] | None) -> RobotDescription:
+    """Return a description with some of its keys, such as lidar.mount.yaw, set to other values, as YAML has them.
 
     Raises:
         ConfigError: there is no such key, or it cannot have the value.
     """
     values = description.model_dump(exclude_unset=True)
-    for given in assumptions:
-        name, equals, value = given.partition("=")
-        if not (name and equals and value):
-            raise ConfigError(f"{given!r} assumes nothing; give NAME=VALUE, such as lidar.mount.yaw=3.14159.")
+    for name, value in (assumed or {}).items():
         *above, key = name.split(".")
         inside = values
         for part in above:
             inside[part] = dict(inside.get(part) or {})
             inside = inside[part]
         inside[key] = yaml.safe_load(value)
-    return validated(RobotDescription, values, "--assume") if assumptions else description
+    return validated(RobotDescription, values, "--assume") if assumed else description
 
 
 def load_description(robot: str | Path) -> RobotDescription:

@@ -128,9 +128,16 @@ def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
     values = message.velocity if signal == "speed" else message.position
     make = partial(WheelSpeeds) if signal == "speed" else partial(WheelTicks)
     key = "speeds" if signal == "speed" else "ticks"
+    steered = robot.base.kind == "ackermann"  # its last number is always a position
     if set(names) <= set(message.name) and len(values) == len(message.name):
-        return True, partial(make, **{key: values[[message.name.index(name) for name in names]]})
-    if len(values) == len(names):
+        where = [message.name.index(name) for name in names]
+        values = values[where]
+        if steered:
+            if len(message.position) != len(message.name):
+                return None
+            values[-1] = message.position[where[-1]]
+        return True, partial(make, **{key: values})
+    if len(values) == len(names) and not steered:
         return False, partial(make, **{key: values})
     return None
 

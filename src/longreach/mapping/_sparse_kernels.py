@@ -52,60 +52,6 @@ def pattern(start_a, columns_a, parent, mark, fill, rows):
 
 
 @kernel
-def places(start, rows, row, column, out):
-    """Fill out (m,) with where in `rows` each row of each column stands; it must be there."""
-    for e in range(len(out)):
-        low, high = start[column[e]], start[column[e] + 1]
-        while high - low > 1:
-            middle = (low + high) // 2
-            if rows[middle] <= row[e]:
-                low = middle
-            else:
-                high = middle
-        out[e] = low
-
-
-@kernel
-def _add_product(A, W, B, k, out, o):
-    """out[o] += A[k]ᵀ W[k] B[k]."""
-    for r in range(3):
-        x = A[k, 0, r] * W[k, 0, 0] + A[k, 1, r] * W[k, 1, 0] + A[k, 2, r] * W[k, 2, 0]
-        y = A[k, 0, r] * W[k, 0, 1] + A[k, 1, r] * W[k, 1, 1] + A[k, 2, r] * W[k, 2, 1]
-        t = A[k, 0, r] * W[k, 0, 2] + A[k, 1, r] * W[k, 1, 2] + A[k, 2, r] * W[k, 2, 2]
-        for c in range(3):
-            out[o, r, c] += x * B[k, 0, c] + y * B[k, 1, c] + t * B[k, 2, c]
-
-
-@kernel
-def _add_gradient(A, We, k, out, o):
-    """out[o] += A[k]ᵀ W e."""
-    for r in range(3):
-        out[o, r] += A[k, 0, r] * We[k, 0] + A[k, 1, r] * We[k, 1] + A[k, 2, r] * We[k, 2]
-
-
-@kernel
-def normal_equations(i, j, place, fixed, A, B, W, We, diagonal, blocks, gradient):
-    """Add H and g = Σ Jᵀ W e over edges of the rows i and j; place: of their blocks; rows that are fixed: 1 · δ = 0."""
-    for k in range(len(i)):
-        a, b = i[k], j[k]
-        if not fixed[a]:
-            _add_product(A, W, A, k, diagonal, a)
-            _add_gradient(A, We, k, gradient, a)
-        if not fixed[b]:
-            _add_product(B, W, B, k, diagonal, b)
-            _add_gradient(B, We, k, gradient, b)
-        if not fixed[a] and not fixed[b]:
-            if a > b:
-                _add_product(A, W, B, k, blocks, place[k])
-            else:
-                _add_product(B, W, A, k, blocks, place[k])
-    for a in range(len(fixed)):
-        if fixed[a]:
-            for r in range(3):
-                diagonal[a, r, r] = 1.0
-
-
-@kernel
 def _cholesky(D, k):
     """Overwrite D[k] (3, 3) with its lower factor; return whether it is positive definite."""
     a = D[k, 0, 0]
@@ -210,22 +156,6 @@ def solve(start, rows, diagonal, blocks, y):
 
 
 @kernel
-def _copy(A, a, out, o):
-    """out[o] = A[a]."""
-    for r in range(3):
-        for c in range(3):
-            out[o, r, c] = A[a, r, c]
-
-
-@kernel
-def _clear(out, o):
-    """out[o] = 0."""
-    for r in range(3):
-        for c in range(3):
-            out[o, r, c] = 0.0
-
-
-@kernel
 def _subtract(A, a, B, b, out, o):
     """out[o] −= A[a] B[b]."""
     for r in range(3):
@@ -244,15 +174,15 @@ def _subtract_transposed(A, a, B, b, out, o):
 
 
 @kernel
-def marginals(start, rows, inverses, blocks, S, S_blocks, place):
+def marginals(start, rows, blocks, S, S_blocks, place):
     """Fill the blocks of S = H⁻¹ on the diagonal (n, 3, 3) and where L has some (nnz, 3, 3): Takahashi's recursion.
 
-    From S = D⁻¹ L⁻¹ + (I − Lᵀ) S, columns last to first; place (n,) comes as -1. Source: Erisman & Tinney 1975.
+    From S = D⁻¹ L⁻¹ + (I − Lᵀ) S, columns last to first. S comes as D⁻¹, S_blocks as 0, place (n,) as -1.
+    Source: Erisman & Tinney 1975.
     """
-    for j in range(len(inverses) - 1, -1, -1):
+    for j in range(len(S) - 1, -1, -1):
         for p in range(start[j], start[j + 1]):
             place[rows[p]] = p
-            _clear(S_blocks, p)
         for p in range(start[j], start[j + 1]):
             k = rows[p]
             _subtract(S, k, blocks, p, S_blocks, p)
@@ -261,45 +191,30 @@ def marginals(start, rows, inverses, blocks, S, S_blocks, place):
                 if at >= 0:
                     _subtract(S_blocks, q, blocks, p, S_blocks, at)
                     _subtract_transposed(S_blocks, q, blocks, at, S_blocks, p)
-        _copy(inverses, j, S, j)
         for p in range(start[j], start[j + 1]):
             _subtract_transposed(blocks, p, S_blocks, p, S, j)
             place[rows[p]] = -1
 
 
 @kernel
-def inverse_column(parent, start, rows, inverses, blocks, column, wanted, needed, X, out):
-    """Fill out (w, 3, 3) with the blocks of H⁻¹ in a column and the rows `wanted` (w,).
+def inverse_column(parent, start, rows, inverses, blocks, column, wanted, needed, X, Y):
+    """Fill Y (n, 3, 3) with the blocks of −H⁻¹ in a column, in the rows `wanted` (w,) and those that they need.
 
-    needed (n,) comes as False, X (n + 1, 3, 3) is room.
     A row needs only the rows above it in the elimination tree, and so does the column.
+    needed (n,) comes as False, X (n, 3, 3) as the column of the identity, Y as 0.
     """
-    n = len(parent)
     for w in range(len(wanted)):
         j = wanted[w]
         while j != -1 and not needed[j]:
             needed[j] = True
-            _clear(X, j)
             j = parent[j]
     j = column
-    while j != -1:
-        _clear(X, j)
-        j = parent[j]
-    for r in range(3):
-        X[column, r, r] = 1.0
-    j = column
-    while j != -1:  # L⁻¹ E
+    while j != -1:  # L⁻¹ X
         for p in range(start[j], start[j + 1]):
             _subtract(blocks, p, X, j, X, rows[p])
         j = parent[j]
-    for j in range(n - 1, -1, -1):  # L⁻ᵀ D⁻¹ of it
+    for j in range(len(parent) - 1, -1, -1):  # −L⁻ᵀ D⁻¹ of it
         if needed[j]:
-            for r in range(3):
-                for c in range(3):
-                    X[n, r, c] = -X[j, r, c]
-            _clear(X, j)
-            _subtract(inverses, j, X, n, X, j)
+            _subtract(inverses, j, X, j, Y, j)
             for p in range(start[j], start[j + 1]):
-                _subtract_transposed(blocks, p, X, rows[p], X, j)
-    for w in range(len(wanted)):
-        _copy(X, wanted[w], out, w)
+                _subtract_transposed(blocks, p, Y, rows[p], Y, j)

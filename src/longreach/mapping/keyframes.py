@@ -28,12 +28,14 @@ DISTANCE, TURNED = 0.5, math.radians(20.0)  # between keyframes [m, rad]
 # four real logs the heading's NEES is then 0.1 to 1.7, the position's 0.1 to 1.3 (1 is ideal; benchmarks/mapping.py).
 DRIFT = np.array([0.01**2, 0.01**2, math.radians(0.2) ** 2])
 _SHORTEST = 0.01  # [m] of way that drift is taken for at least
+# The part of it that shows from one keyframe to the next: drift is what errors that last over many keyframes add up to.
+LOCAL = 0.1
 _MOST = 20  # keyframes on either side in a place
 _DEFAULTS = LidarConfig()
 MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
 # Of the residuals' scatter: an error that all beams which see one surface have in common. From another side a surface
 # looks otherwise: corners are round, edges lie elsewhere. With it the variance factor of matches is 1.0 and 1.1 on two
-# real logs (FR079, CSAIL), and the NEES of closures 1.0 to 3.0 in simulation (benchmarks/map_consistency.py).
+# real logs (FR079, CSAIL), and the NEES of closures, without `bending`, 1 to 5 in simulation.
 _SURFACE = 0.4
 
 
@@ -42,13 +44,15 @@ class Keyframe:
     """A scan that was taken at the pose `odom` (3,) in the frame odom.
 
     twist (3,): of the base during the sweep [m/s, m/s, rad/s]. covariance (3, 3): of ξ of the motion since the last
-    keyframe. way [m]: along the path from the start. features: of the scan, in the base's frame.
+    keyframe, with all drift; local_covariance: with what shows of it between neighbours. way [m]: along the path from
+    the start. features: of the scan, in the base's frame.
     """
 
     scan: LaserScan
     odom: Float[np.ndarray, "3"]
     twist: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
+    local_covariance: Float[np.ndarray, "3 3"]
     way: float
     features: Features
 
@@ -79,11 +83,21 @@ class Place:
         """The number of the middle keyframe."""
         return int(self.rows[-1])
 
+    @property
+    def bending(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance (3, 3) of ξ by which all together are off, as odometry lays them out.
+
+        The mean of a random walk from the middle over a way is off by a third of the variance at its end, and that of
+        two such walks to either side by a sixth.
+        """
+        between = np.sum([k.local_covariance for k in self.keyframes], axis=0)
+        return between / (12.0 if np.any(self.rows > self.middle) else 3.0)
+
     @cached_property
     def local_map(self) -> LocalMap:
         """The surfaces of all, merged."""
-        placed = zip(self.keyframes, self.poses, strict=True)
-        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in placed])
+        seen = zip(self.keyframes, self.poses, strict=True)
+        return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in seen])
 
     @cached_property
     def joined(self) -> Features:
@@ -104,15 +118,17 @@ def motion_covariance(
     before: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     after: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]],
     way: float,
-) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance (3, 3) of the motion between two poses (3,) with covariances (3, 3), along a way [m].
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
+    """Return the covariances (3, 3) of the motion between two poses (3,) with covariances (3, 3), along a way [m].
 
-    It is what the later covariance has more than the earlier one, for errors of odometry add up, and the drift.
+    It is what the later covariance has more than the earlier one, for errors of odometry add up, and the drift: all of
+    it, and what shows of it between neighbours.
     """
     A = se2.adjoint(se2.between(after[0], before[0]))
     more = after[1] - A @ before[1] @ A.T
     values, vectors = np.linalg.eigh(0.5 * (more + more.T))
-    return vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(DRIFT * max(way, _SHORTEST))
+    more, drift = vectors * np.maximum(values, 0.0) @ vectors.T, np.diag(DRIFT * max(way, _SHORTEST))
+    return more + drift, more + LOCAL * drift
 
 
 def matcher(joined: int = 1) -> PointToLine:

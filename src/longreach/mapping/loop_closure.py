@@ -60,7 +60,7 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Keyframe j as seen from keyframe i < j: pose (3,), covariance (3, 3) of ξ, and the gate that refuses it, or ""."""
+    """Keyframe j as seen from keyframe i < j: pose (3,), covariance (3, 3) of ξ; the gate that refuses it, or ""."""
 
     i: int
     j: int
@@ -115,7 +115,7 @@ class Window:
         other: Float[np.ndarray, "3"] | None = None,
         along: Float[np.ndarray, "2"] | None = None,
     ) -> Peak | None:
-        """Return the best peak above `least`, apart from another pose (3,), where distances `along` (2,) do not count."""
+        """Return the best peak above `least`, apart from another pose (3,); distances `along` (2,) do not count."""
         apart, found = (-1.0, np.zeros(3)) if other is None else (APART, other - self.mean)
         at = np.zeros(3)
         value = kernels.descend(
@@ -173,16 +173,17 @@ def compared(
         place, mean = nearer, se2.between(middle, mean)
         fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free, joined=len(now.rows))
     overlap = fit.rows / scan.count
+    found = fit.covariance + now.bending + place.bending
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),
         seen_through(scan, place.local_map, fit.pose),
         seen_through(place.keyframes[-1].features, now.local_map, se2.inverse(fit.pose)),
-        float(xi @ np.linalg.solve(covariance + fit.covariance, xi)), len(fit.directions), longest,
+        float(xi @ np.linalg.solve(covariance + found, xi)), len(fit.directions), longest,
     )  # fmt: skip
     if not math.isfinite(fit.scale) or not np.isfinite(evidence.chi2):
         return None
-    return Match(place.middle, now.middle, fit.pose, fit.covariance, evidence, gate_of(evidence))
+    return Match(place.middle, now.middle, fit.pose, found, evidence, gate_of(evidence))
 
 
 def gate_of(e: Evidence) -> str:
@@ -202,8 +203,8 @@ def reason_of(match: Match) -> str:
     """Return why a gate refuses a match, as a sentence."""
     e = match.evidence
     return {
-        "overlap": f"{100 * e.overlap:.0f} % of the returns see a surface of the place; {100 * _OVERLAP:.0f} % are asked for.",
-        "agreement": f"{100 * e.agrees:.0f} % of these agree; {100 * _AGREES:.0f} % are asked for.",
+        "overlap": f"Only {100 * e.overlap:.0f} % of the returns see a surface of the place.",
+        "agreement": f"Only {100 * e.agrees:.0f} % of the returns on surfaces of the place agree with them.",
         "visibility": f"{100 * max(e.through, e.through_back):.0f} % of the beams pass through surfaces.",
         "uniqueness": f"A second place agrees {e.second / max(e.agreement, 1e-9):.2f} times as well.",
         "chi2": f"It is off the graph by χ² = {e.chi2:.1f}; {CHI2} is the limit.",

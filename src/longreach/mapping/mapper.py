@@ -12,6 +12,7 @@ A recording is a fold of `step`, after which `refined` matches every keyframe to
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +112,7 @@ def init(T_base_laser: Float[np.ndarray, "4 4"]) -> MapperState:
 
 
 def step(state: MapperState, scans: Iterable[LaserScan], rows: Iterable[PathRow]) -> MapperState:
-    """Take scans, and rows of the localizer's path in the order of their stamps; a scan is used when its row is there."""
+    """Take scans, and rows of the localizer's path in the order of their stamps; a scan waits for its row."""
     waiting = [*state.waiting, *scans]
     by_stamp = {scan.stamp: scan for scan in waiting}
     for stamp, pose, covariance in rows:
@@ -150,13 +151,13 @@ def _with_keyframe(
     before = state.at_keyframe
     if before is None or state.graph is None:
         first = PoseGraph(row.pose[None], no_edges(), no_edges())
-        graph, covariance = incremental.init(first), np.zeros((3, 3))
+        graph, covariances = incremental.init(first), (np.zeros((3, 3)), np.zeros((3, 3)))
     else:
-        covariance = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
+        covariances = motion_covariance(before[1:], row[1:], state.way - state.keyframes[-1].way)
         n, moved = len(state.keyframes), se2.between(before.pose, row.pose)
-        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariance[None])
+        edge = Edges(np.array([n - 1]), np.array([n]), moved[None], covariances[0][None])
         graph = incremental.step(state.graph, edge)
-    keyframe = Keyframe(scan, row.pose, twist, covariance, state.way, features)
+    keyframe = Keyframe(scan, row.pose, twist, *covariances, state.way, features)
     return replace(state, graph=graph, keyframes=(*state.keyframes, keyframe), at_keyframe=row)
 
 
@@ -226,18 +227,37 @@ def _looked(state: MapperState) -> MapperState:
         return state
     rows = neighbours(way, j, _BEHIND, 0.0)
     now = place_of(state.keyframes, rows, np.array([state.keyframes[q].odom for q in rows]))
+    matches = list[Match]()
     for c in candidates:
-
-        def nearest(pose: np.ndarray, c: int = c.row) -> tuple[Place, np.ndarray]:
-            near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[j] - way[q] > _ELSEWHERE]
-            seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
-            best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
-            return _place(state, near[best]), seen[best]
-
+        nearest = partial(_nearest, state, c.row)
         match = loop_closure.compared(_place(state, c.row), now, c.mean, c.covariance, nearest)
         if match is not None:
-            state = _judged(replace(state, matches=(*state.matches, match)))
+            matches.append(match)
+    for match in _only_one(state, matches):
+        state = _judged(replace(state, matches=(*state.matches, match)))
     return state
+
+
+def _only_one(state: MapperState, matches: list[Match]) -> list[Match]:
+    """Return matches of one keyframe, refused where another one puts it elsewhere: places look the same."""
+    passed = [m for m in matches if not m.gate]
+    at = np.array([se2.compose(state.poses[m.i], m.pose) for m in passed]).reshape(-1, 3)
+    spread = np.hypot(*(at[:, None, :2] - at[None, :, :2]).transpose(2, 0, 1)).max(initial=0.0)
+    if spread < loop_closure.APART:
+        return matches
+    second = min(m.evidence.agreement for m in passed)
+    return [
+        m if m.gate else replace(m, gate="uniqueness", evidence=m.evidence._replace(second=second)) for m in matches
+    ]
+
+
+def _nearest(state: MapperState, c: int, pose: np.ndarray) -> tuple[Place, np.ndarray]:
+    """Return the place of the old keyframe nearest to a pose (3,), and where it is; both as seen from keyframe c."""
+    way = ways(state.keyframes)
+    near = [q for q in neighbours(way, c, _BETWEEN, _BETWEEN).tolist() if way[-1] - way[q] > _ELSEWHERE]
+    seen = se2.between(state.keyframes[c].odom, np.array([state.keyframes[q].odom for q in near]))
+    best = int(np.argmin(np.hypot(seen[:, 0] - pose[0], seen[:, 1] - pose[1])))
+    return _place(state, near[best]), seen[best]
 
 
 def _judged(state: MapperState) -> MapperState:
@@ -248,8 +268,8 @@ def _judged(state: MapperState) -> MapperState:
     assert state.graph is not None
     way = ways(state.keyframes)
     if match.evidence.window < _SURE:
-        state = replace(state, accepted=(*state.accepted, new))
         due = way[-1] - way[len(state.graph.solved.poses) - 1] > _RECENT or match.evidence.chi2 > _NEWS
+        state = replace(state, accepted=(*state.accepted, new))
         return _solved(state) if due else state
     near = [a for a in range(new) if not state.matches[a].gate and _beside(way, state.matches[a], match)][-_OTHERS:]
     near.append(new)
@@ -259,11 +279,17 @@ def _judged(state: MapperState) -> MapperState:
             agree[a, b] = agree[b, a] = _agree(state, way, state.matches[near[a]], state.matches[near[b]])
     clique = largest_clique(agree, [len(near) - 1])
     closed = max((way[state.matches[a].j] for a in state.accepted), default=0.0)
-    if len(clique) < (3 if way[-1] - closed > _LONG else 2):
+    ends = [way[state.matches[near[a]].j] for a in clique]
+    if len(clique) < (3 if way[-1] - closed > _LONG else 2) or max(ends) - min(ends) < _apart(match):
         return state
     taken = [near[a] for a in clique if near[a] not in state.accepted]
     solved = _solved(replace(state, accepted=(*state.accepted, *taken)))
     return state if _is_looked_through(solved) else solved
+
+
+def _apart(match: Match) -> float:
+    """Return over how much path closures that confirm each other spread [m]: as far as the place may be off."""
+    return min(match.evidence.window, 0.5 * _NEIGHBOURS)
 
 
 def settled(state: MapperState) -> MapperState:
@@ -271,6 +297,7 @@ def settled(state: MapperState) -> MapperState:
     if state.graph is None:
         return state
     state = _solved(state)
+    assert state.graph is not None
     waiting = [a for a, m in enumerate(state.matches) if m.gate in ("", "uniqueness") and a not in state.accepted]
     edges = closure_edges([state.matches[a] for a in waiting])
     S = incremental.relative_covariances(state.graph, edges.i, edges.j)

@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure, solver
-from longreach.mapping.keyframes import Keyframe, Place, neighbours, odometry_edges, place_of, ways
-from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, no_edges
+from longreach.mapping.keyframes import LOCAL, Keyframe, Place, neighbours, odometry_edges, place_of, ways
+from longreach.mapping.pose_graph import Edges, PoseGraph, adjoints, joined, no_edges
 from longreach.mapping.solver import Solved
 
 _ROUNDS = 10  # of scaling covariances at most,
@@ -51,21 +51,24 @@ class Refined(NamedTuple):
 def refined(
     keyframes: tuple[Keyframe, ...],
     poses: Float[np.ndarray, "n 3"],
+    closures: Edges,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Refined:
     """Match every keyframe to other passes as poses (n, 3), whose loops are closed, lay them out; then solve, robustly.
 
-    Once: what a second time changes is within what relations show of four real logs. Drift and matches' covariances are
-    scaled by what their residuals say; the latter never down, for matches agree in errors that they have in common.
+    Closures stay in the graph, before the edges to other passes. Once: what a second time changes is within what
+    relations show of four real logs. Drift and matches' covariances are scaled by what their residuals say; the latter
+    never down, for matches agree in errors that they have in common.
     """
     fits, noise = _passes(keyframes, poses, progress)
-    solved, drift, more = solver.optimize_robust(PoseGraph(poses, odometry_edges(keyframes), fits)), 1.0, 1.0
+    edges, drift, more = joined(closures, fits), LOCAL, 1.0
+    solved = solver.optimize_robust(PoseGraph(poses, odometry_edges(keyframes, drift), edges))
     for _ in range(_ROUNDS):
-        odometry, closures = solver.variance_factors(solved, _STATED)
-        drift, more = drift * odometry, max(more * closures, 1.0)
-        scaled = Edges(fits.i, fits.j, fits.z, more * fits.covariance)
+        of_drift, of_matches = solver.variance_factors(solved, _STATED)
+        drift, more = drift * of_drift, max(more * of_matches, 1.0)
+        scaled = Edges(edges.i, edges.j, edges.z, more * edges.covariance)
         solved = solver.optimize_robust(PoseGraph(solved.poses, odometry_edges(keyframes, drift), scaled))
-        if 1.0 / _FOUND < odometry < _FOUND:
+        if 1.0 / _FOUND < of_drift < _FOUND:
             break
     return Refined(solved, more * noise)
 

@@ -7,7 +7,7 @@ Source: Grisetti et al. 2010, "A tutorial on graph-based SLAM"; Kaess & Dellaert
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,6 +32,7 @@ class Order(NamedTuple):
     start: np.ndarray  # (n + 1,) of the columns of L
     rows: np.ndarray  # (nnz,)
     place: np.ndarray  # (m,) the block of each edge
+    scatter: Any  # (n + nnz, 3 m) sparse: adds up what edges give the diagonal at i, at j, and the block between
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,8 @@ class Factor:
     @cached_property
     def covariances(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "nnz 3 3"]]:
         """Covariance of each pose, in the order of the poses, and those of two poses where the factor has a block."""
-        S, off = np.empty_like(self.inverses), np.empty_like(self.blocks)
-        place = np.full(len(S), -1)
-        kernels.marginals(self.order.start, self.order.rows, self.inverses, self.blocks, S, off, place)
+        S, off, place = self.inverses.copy(), np.zeros_like(self.blocks), np.full(len(self.inverses), -1)
+        kernels.marginals(self.order.start, self.order.rows, self.blocks, S, off, place)
         S = S[self.order.row]
         S[self.fixed] = 0.0
         return S, off
@@ -247,8 +247,6 @@ class _System:
         self.fixed = np.empty_like(fixed)
         self.fixed[row] = fixed
         self.ends = row[self.edges.i], row[self.edges.j]
-        self.gradient, self.diagonal = np.empty((n, 3)), np.empty((n, 3, 3))
-        self.blocks = np.empty((len(self.order.rows), 3, 3))
         self.room = np.empty((3, n), dtype=np.int64)
 
     def cost(self, poses: np.ndarray) -> tuple[np.ndarray, float]:
@@ -265,12 +263,20 @@ class _System:
 
     def factorize(self, poses: np.ndarray, e: np.ndarray, damping: float) -> bool:
         A, B = jacobians(poses, self.edges, e)
-        We = np.einsum("mij,mj->mi", self.information, e)
-        self.diagonal[:], self.blocks[:], self.gradient[:] = 0.0, 0.0, 0.0
-        kernels.normal_equations(
-            *self.ends, self.order.place, self.fixed, A, B, self.information, We,
-            self.diagonal, self.blocks, self.gradient,
-        )  # fmt: skip
+        i, j = self.ends
+        A[self.fixed[i]], B[self.fixed[j]] = 0.0, 0.0
+        WA, WB, We = self.information @ A, self.information @ B, self.information @ e[:, :, None]
+        A, B = A.transpose(0, 2, 1), B.transpose(0, 2, 1)
+        off = A @ WB
+        off[j > i] = off[j > i].transpose(0, 2, 1)  # L is lower triangular
+        terms = np.zeros((3, len(e), 12))  # of the diagonal at i and at j with the gradient, and of the block between
+        for k, (block, gradient) in enumerate(((A @ WA, A @ We), (B @ WB, B @ We), (off, 0.0 * We))):
+            terms[k, :, :9], terms[k, :, 9:] = block.reshape(-1, 9), gradient[:, :, 0]
+        n = len(self.fixed)
+        total = self.order.scatter @ terms.reshape(-1, 12)
+        H = np.ascontiguousarray(total[:, :9]).reshape(-1, 3, 3)
+        self.diagonal, self.blocks, self.gradient = H[:n], H[n:], np.ascontiguousarray(total[:n, 9:])
+        self.diagonal[self.fixed] = np.eye(3)  # 1 · δ = 0
         if damping:
             self.diagonal[:, range(3), range(3)] *= 1 + damping
         waiting = np.full(len(self.fixed), -1)
@@ -295,9 +301,11 @@ def order_of(graph: PoseGraph) -> Order:
     kernels.tree(*below, parent, ancestor, mark, start)
     rows = np.empty(start[-1], dtype=np.int64)
     kernels.pattern(*below, parent, np.full(n, -1), start.copy(), rows)
-    place = np.empty(len(low), dtype=np.int64)
-    kernels.places(start, rows, high, low, place)
-    return Order(row, parent, start, rows, place)
+    column = np.repeat(np.arange(n), np.diff(start))
+    place = np.searchsorted(column * n + rows, low * n + high)
+    to = np.concatenate([row[edges.i], row[edges.j], n + place])
+    scatter = csr_matrix((np.ones(len(to)), (to, np.arange(len(to)))), shape=(n + len(rows), len(to)))
+    return Order(row, parent, start, rows, place, scatter)
 
 
 def _parts(n: int, edges: Edges, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -327,15 +335,16 @@ def relative_covariances(
     """
     f, order = solved.factor, solved.factor.order
     cross = np.zeros((len(i), 3, 3))
-    X = np.empty((len(f.inverses) + 1, 3, 3))  # room
     for column in np.unique(j).tolist():
         pairs = np.flatnonzero(j == column)
-        out = np.empty((len(pairs), 3, 3))
+        wanted, row = order.row[i[pairs]], int(order.row[column])
+        X, Y = np.zeros_like(f.inverses), np.zeros_like(f.inverses)
+        X[row] = np.eye(3)
+        needed = np.zeros(len(X), dtype=bool)
         kernels.inverse_column(
-            order.parent, order.start, order.rows, f.inverses, f.blocks,
-            order.row[column], order.row[i[pairs]], np.zeros(len(X) - 1, dtype=bool), X, out,
+            order.parent, order.start, order.rows, f.inverses, f.blocks, row, wanted, needed, X, Y
         )  # fmt: skip
-        cross[pairs] = out
+        cross[pairs] = -Y[wanted]
     return _relative(solved, i, j, cross)
 
 

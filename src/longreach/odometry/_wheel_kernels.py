@@ -17,8 +17,10 @@ _AVERAGED = 50.0  # intervals that the mean interval is taken over; 10 to 1000 m
 class Model(NamedTuple):
     """How the records of one stream become steps. Arrays are read-only.
 
-    signal: COUNTS, RATES or POSES. forward (3, w): twist from wheel speeds. residual (w,), or (0,) where slip cannot be
-    observed: slip speed [m/s] from wheel speeds. unit: [rad] of one count. wrap: counts after which an encoder starts
+    signal: COUNTS, RATES or POSES. ranges (k,): after which counts may start again, looked for where `wrap` is 0.
+    fastest: of a wheel [counts/s]. forward (3, w): twist from wheel speeds. residual (w,), or (0,) where slip cannot be
+    observed: slip speed [m/s] from wheel speeds. wheelbase: where the last
+    number is a steering angle [m], else 0. unit: [rad] of one count. wrap: counts after which an encoder starts
     again, 0 if never. bounds (3,): fastest possible twist [m/s, m/s, rad/s]. longest_gap [s]. slip_window [s].
     growing: whether the covariance is the growing one. noise (7,): as in `WheelNoise`. lever [m]: at which a wheel
     turns the base. constant (3,): variance a second of (3.23). rounding (3,): variance of a reading [m², m², rad²].
@@ -27,8 +29,11 @@ class Model(NamedTuple):
     signal: int
     forward: np.ndarray
     residual: np.ndarray
+    wheelbase: float
     unit: float
     wrap: float
+    ranges: np.ndarray
+    fastest: float
     bounds: np.ndarray
     longest_gap: float
     slip_window: float
@@ -48,7 +53,40 @@ def _finite(values):
 
 
 @kernel
-def _displacement(model, before, after, dt, xi):
+def _range(model, before, after, longest, seen):
+    """Return the range after which counts start again: as stated, or as found, or 0 where they do not.
+
+    It is found where all counts lie in a range, signed or not, and a step is larger than half of it, but what is left
+    of it is no more than a wheel turns in `longest` [s]. seen (4,): least and greatest count, the range, and how often
+    wheels started again.
+    """
+    if len(model.ranges) == 0:
+        return model.wrap
+    for wheel in range(len(after)):
+        seen[0] = min(seen[0], before[wheel], after[wheel])
+        seen[1] = max(seen[1], before[wheel], after[wheel])
+    found = 0.0
+    for size in model.ranges:
+        signed = seen[0] >= -0.5001 * size and seen[1] <= 0.5001 * size
+        unsigned = seen[0] >= -1e-4 * size and seen[1] <= 1.0001 * size
+        if not (signed or unsigned):
+            continue
+        if seen[2] == size:
+            found = size
+        if found == 0.0 and model.fastest * longest < 0.5 * size:
+            for wheel in range(len(after)):
+                jump = abs(after[wheel] - before[wheel])
+                if jump > 0.5 * size and size - jump <= model.fastest * longest:
+                    found = size
+    seen[2] = found
+    if found > 0.0:
+        for wheel in range(len(after)):
+            seen[3] += abs(after[wheel] - before[wheel]) > 0.5 * found
+    return found
+
+
+@kernel
+def _displacement(model, before, after, dt, wrap, xi):
     """Fill ξ (3,) of a step between two records of values (w,), (3.21); return how far [m] the wheels disagree."""
     disagreement = 0.0
     if model.signal == POSES:
@@ -61,13 +99,15 @@ def _displacement(model, before, after, dt, xi):
             turned = 0.5 * (before[wheel] + after[wheel]) * dt
         else:
             turned = after[wheel] - before[wheel]
-            if model.wrap > 0.0:
-                turned -= model.wrap * np.rint(turned / model.wrap)
+            if wrap > 0.0:
+                turned -= wrap * np.rint(turned / wrap)
             turned *= model.unit
         for i in range(3):
             xi[i] += model.forward[i, wheel] * turned
         if len(model.residual) > 0:
             disagreement += model.residual[wheel] * turned
+    if model.wheelbase > 0.0:
+        xi[2] = xi[0] * math.tan(0.5 * (before[-1] + after[-1])) / model.wheelbase
     return disagreement
 
 
@@ -149,11 +189,12 @@ def _reading(xi, before, rounding, R):
 
 
 @kernel
-def advance(model, known, stamps, disagreement, values, before, interval, intervals, ends, poses, Q, R, slip):
+def advance(model, known, stamps, disagreement, values, before, seen, interval, intervals, ends, poses, Q, R, slip):
     """Take the records in rows `known` and following; fill the steps that they end, and compact what is remembered.
 
     stamps (m,), disagreement (m,): on entry `known` rows of used records, then the new ones; on return the used ones.
     values (1 + new, w): row 0 is the newest used record. before (3,): ξ of the last step, 0 where it was a break.
+    seen (4,): as of `_range`.
     interval: mean interval [s] of `intervals` so far. ends (2, new), poses (new, 3), Q, R (new, 3, 3), slip (new,).
     Returns steps, first remembered row, last one, interval, intervals, and how many were refused, late, breaks.
     """
@@ -173,8 +214,12 @@ def advance(model, known, stamps, disagreement, values, before, interval, interv
             dt = stamp - stamps[last - 1]
             intervals += 1
             interval += (min(dt, model.longest_gap) - interval) / min(float(intervals), _AVERAGED)
-            apart = _displacement(model, values[0], values[n], dt, xi)
+            longest = max(dt, interval)
+            wrap = _range(model, values[0], values[n], longest, seen)
+            apart = _displacement(model, values[0], values[n], dt, wrap, xi)
             good = _possible(model, xi, dt, interval)
+            if len(model.ranges) > 0 and wrap > 0.0 and model.fastest * longest >= 0.5 * wrap:
+                good = False  # a wheel may have turned by more than half of its range
             if good:
                 disagreement[last] = apart
             else:

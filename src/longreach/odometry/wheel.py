@@ -22,6 +22,9 @@ a step, of mean square ξξᵀ/3; the mean of the step to the reading and the on
 **Breaks.** A step `break_factor` times faster than the robot can be is no motion, and no measurement bridges it. Delays
 move stamps, so a step may take the mean interval of the last 50 where its own is shorter.
 
+**Wrapping.** Angles may start again after 2π and counts after 2^16 or 2^32, signed or not. Where no wheel can turn by
+half of that in a step, the first jump shows it, and readings are continued. `encoder.wrap_range` or `bits` state it.
+
 Records with numbers that are not finite (`refused`) or a stamp before the newest (`late`) are passed over and counted;
 of records with one stamp the first is used. No motion is lost thereby: the next step starts from it.
 """
@@ -38,9 +41,11 @@ from longreach.errors import EstimationError
 from longreach.measurement import Odometry, RelativePoseMeasurement, Wheels, WheelSpeeds, frozen_array
 from longreach.odometry import _wheel_kernels
 from longreach.odometry._wheel_kernels import COUNTS, POSES, RATES, Model
+from longreach.robot.bases import AckermannBase
 from longreach.robot.description import RobotDescription
 
 _FLOOR = 1e-10  # [m², rad²], of a reading: a hundredth of a millimetre keeps covariances definite
+_ANGLES, _TICKS = (2 * np.pi,), (2.0**16, 2.0**32)  # ranges after which readings may start again [rad], [counts]
 _Variance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -75,7 +80,9 @@ class WheelState(NamedTuple):
     stamps (k,) [s], disagreement (k,) [m]: of the records in the slip window, and of the wheels in the steps to them.
     values (1, w): numbers of the newest record. displacement (3,): ξ of the last step [m, m, rad], zeros at a break.
     interval, intervals: mean interval between records [s], and how many there were.
-    breaks: steps that no wheel made, or of speeds across too long a gap. refused, late: records that are passed over.
+    seen (4,): least and greatest count, the range after which counts were found to start again (0: none), and how often
+    they did. breaks: steps that no wheel made, or of speeds across too long a gap. refused, late: records that are
+    passed over.
     """
 
     robot: RobotDescription
@@ -85,6 +92,7 @@ class WheelState(NamedTuple):
     disagreement: np.ndarray = frozen_array([], (0,), "WheelState.disagreement")
     values: np.ndarray = frozen_array([[]], (1, 0), "WheelState.values")
     displacement: np.ndarray = frozen_array([0.0] * 3, (3,), "WheelState.displacement")
+    seen: np.ndarray = frozen_array([np.inf, -np.inf, 0.0, 0.0], (4,), "WheelState.seen")
     interval: float = 0.0
     intervals: int = 0
     breaks: int = 0
@@ -96,12 +104,15 @@ class WheelState(NamedTuple):
 class WheelOdometry:
     """Wheel odometry of a whole recording: steps (`source` wheels), and what was left out.
 
-    breaks, refused: as in `WheelState`. slip (n,): speed [m/s] over each one's window, None where it is not observed.
+    breaks, refused: as in `WheelState`. wraps: how often readings of wheels started again after `wrap_range` [counts or
+    rad], where the description does not say so. slip (n,): speed [m/s] over each one's window, None where not observed.
     """
 
     measurements: tuple[RelativePoseMeasurement, ...]
     breaks: int = 0
     refused: int = 0
+    wraps: int = 0
+    wrap_range: float = 0.0
     slip: Float[np.ndarray, " n"] | None = None
 
 
@@ -127,7 +138,7 @@ def wheel_odometry(
     state, steps, slip = _advance(init(robot, config), wheels)
     if state.late:
         raise EstimationError("The stamps of the wheel records run backwards; repair them with monotone_clock.")
-    return WheelOdometry(steps, state.breaks, state.refused, slip)
+    return WheelOdometry(steps, state.breaks, state.refused, int(state.seen[3]), float(state.seen[2]), slip)
 
 
 def _advance(
@@ -142,13 +153,13 @@ def _advance(
     stamps = np.concatenate((state.stamps, stamps))
     disagreement = np.concatenate((state.disagreement, np.zeros(n)))
     values = np.concatenate((state.values if known else np.zeros((1, signal.width)), values))
-    displacement = state.displacement.copy()
+    displacement, seen = state.displacement.copy(), state.seen.copy()
     ends, poses, Q, R, slip = np.empty((2, n)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.zeros(n)
-    memory = (known, stamps, disagreement, values, displacement, state.interval, state.intervals)
+    memory = (known, stamps, disagreement, values, displacement, seen, state.interval, state.intervals)
     count, first, last, interval, intervals, refused, late, breaks = _wheel_kernels.advance(
         signal.model, *memory, ends, poses, Q, R, slip
     )
-    arrays = (stamps[first : last + 1], disagreement[first : last + 1], values[:1], displacement)
+    arrays = (stamps[first : last + 1], disagreement[first : last + 1], values[:1], displacement, seen)
     memory = (*[frozen_array(a, a.shape, "WheelState") for a in arrays], interval, intervals)
     left_out = (state.breaks + breaks, state.refused + refused, state.late + late)
     state = WheelState._make((state.robot, state.config, signal, *memory, *left_out))
@@ -188,17 +199,23 @@ def _model(
     """Return the numbers that steps are computed with; `unit` [rad] of one count."""
     encoder, base, noise = robot.encoder, robot.base, robot.wheel_noise
     travel = [noise.along, noise.across, noise.turning, noise.heading_travel, noise.heading_turning]
-    rounding, wrap = np.full(3, _FLOOR), 0.0
+    rounding, ranges, fastest = np.full(3, _FLOOR), (), 0.0
+    wrap = 0.0 if encoder is None else encoder.range
     if kind == COUNTS and encoder is not None:
         if encoder.resolution is not None:
             rounding += np.sum(forward**2, axis=1) * encoder.resolution**2 / 12
-        wrap = 0.0 if encoder.bits is None else 2.0**encoder.bits
+        if wrap == 0.0 and base is not None:
+            ranges = _TICKS if encoder.signal == "ticks" else _ANGLES
+            fastest = float(np.max(np.abs(base.inverse_matrix) @ robot.velocity_limits)) / unit
     return Model(
         signal=kind,
         forward=frozen_array(forward, (3, None), "Model.forward"),
         residual=frozen_array(residual, (None,), "Model.residual"),
+        wheelbase=base.wheelbase if kind != POSES and isinstance(base, AckermannBase) and forward.shape[1] > 1 else 0.0,
         unit=unit,
         wrap=wrap,
+        ranges=frozen_array(ranges, (None,), "Model.ranges"),
+        fastest=fastest,
         bounds=frozen_array(config.break_factor * np.array(robot.velocity_limits), (3,), "Model.bounds"),
         longest_gap=config.longest_gap,
         slip_window=config.slip_window,

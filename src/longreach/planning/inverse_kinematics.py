@@ -23,7 +23,7 @@ from longreach.planning.solution import Solution
 from longreach.planning.ur_arm import ur_arm
 from longreach.robot._kinematics_kernels import forward
 from longreach.robot.chain import KinematicChain
-from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.robot.mobile_manipulator import MobileManipulator, turned_like
 
 Robot = KinematicChain | MobileManipulator
 _FOUND = "The tool is at its target inside the limits."
@@ -59,15 +59,16 @@ def _model(robot: Robot) -> _Model:
 def solve_ik(robot: Robot, T_world_tool: Float[np.ndarray, "4 4"], q0: Float[np.ndarray, " n"]) -> Solution:
     """Find a configuration inside the limits with the tool at T_world_tool, near the seed q0 (n,) [rad or m].
 
-    The seed may lie outside the limits. Of several postures of an arm like the UR the one nearest to the seed is taken.
+    The seed may lie outside the limits; those of a base's heading are taken around the seed's whole turns. Of several
+    postures of an arm like the UR the one nearest to the seed is taken.
     A pose that cannot be reached is answered too, with `converged` False and the nearest that was found: 1 m counts as
     much as 1 rad. `residuals`: "position" [m] and "orientation" [rad], below 1e-9 where converged.
 
     Raises:
         PlanningError: T_world_tool is not a rigid motion, q0 is not a number a joint, or one is not finite.
     """
-    model = _model(robot)
     target, seed = np.array(T_world_tool, dtype=float, order="C"), np.array(q0, dtype=float)
+    model = _model(robot if isinstance(robot, KinematicChain) or seed.ndim != 1 else turned_like(robot, seed))
     n = len(model.prismatic)
     if target.shape != (4, 4) or seed.shape != (n,):
         _refuse(_ik_kernels.WRONG_SHAPE, target, seed, n)

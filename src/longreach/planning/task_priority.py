@@ -26,7 +26,7 @@ from longreach.planning.pseudoinverse import Inverse
 from longreach.planning.solution import Solution
 from longreach.planning.stack import Stack
 from longreach.planning.task import Levels
-from longreach.robot.mobile_manipulator import MobileManipulator
+from longreach.robot.mobile_manipulator import MobileManipulator, turned_like
 
 Free = Float[np.ndarray, " _"] | Callable[[Float[np.ndarray, " _"]], Float[np.ndarray, " _"]] | None
 
@@ -152,6 +152,7 @@ def solve_priority(
     """
     config = config or TaskPriorityConfig()
     q = checked_start(robot, q0)
+    robot = turned_like(robot, q)
     stack = Stack.of(robot, tasks, config.limits)
     z = np.zeros(robot.dof) if free is None or callable(free) else _checked_vector(robot.dof, free)
     memory = kernels.remember(len(stack.kept), robot.dof, len(stack.starts) - 1)

@@ -5,6 +5,7 @@ twist = forward_matrix @ w, w = inverse_matrix @ twist, and residual_matrix @ w 
 """
 
 import re
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -52,22 +53,29 @@ def _place(name: str) -> tuple[str, str]:
     return (ends.pop() if len(ends) == 1 else ""), (sides.pop() if len(sides) == 1 else "")
 
 
-def _with_places(values: Any, key: str, names: tuple[str, ...]) -> Any:
-    """Return the keys of a base with `key`, the place of each wheel: from `wheel_names` {place: name, or names}, else
-    as said, else from the wheels' names; where these do not say it, it stays empty."""
+def _with_places(values: Any, key: str) -> Any:
+    """Return the keys of a base, `wheel_names` {place: name, or names} as names and `key`, the place of each."""
     if not isinstance(values, dict):
         return values
-    given, places = values.get("wheel_names", names), values.get(key) or ()
+    given = values.get("wheel_names")
     if isinstance(given, dict):
         pairs = [(p, n) for p, names in given.items() for n in ([names] if isinstance(names, str) else names or ())]
-        values = {**values, "wheel_names": [name for _, name in pairs]}
-        places = [place for place, _ in pairs]
-    given = values.get("wheel_names", names)
-    if not places and isinstance(given, list | tuple):
-        places = given
-    found = ["_".join(_place(str(place))[1 if key == "sides" else 0 :]).strip("_") for place in places]
-    known = ("left", "right") if key == "sides" else ("front_left", "rear_left", "rear_right", "front_right")
-    return {**values, key: found if set(found) <= set(known) else ()}
+        values = {**values, "wheel_names": [name for _, name in pairs], key: [place for place, _ in pairs]}
+    places = values.get(key)
+    if isinstance(places, list | tuple):  # back_left or fl says where it is, too
+        read = _sides if key == "sides" else _corners
+        values = {**values, key: [new or old for new, old in zip(read(places), places, strict=True)]}
+    return values
+
+
+def _corners(names: Iterable[object]) -> list[str]:
+    """Return the corner that each name says, empty where it is not clear."""
+    return ["_".join(place) if all(place) else "" for place in (_place(str(name)) for name in names)]
+
+
+def _sides(names: Iterable[object]) -> list[str]:
+    """Return the side that each name says, empty where it is not clear."""
+    return [_place(str(name))[1] for name in names]
 
 
 class MecanumBase(_Wheeled):
@@ -90,17 +98,23 @@ class MecanumBase(_Wheeled):
     @model_validator(mode="before")
     @classmethod
     def _find_corners(cls, values: Any) -> Any:
-        return _with_places(values, "corners", cls.model_fields["wheel_names"].default)
+        return _with_places(values, "corners")
 
     @model_validator(mode="after")
     def _each_wheel_once(self) -> "MecanumBase":
-        if not len(self.wheel_names) == len(set(self.wheel_names)) == len(self.corners) == len(set(self.corners)) == 4:
+        corners = set(self.wheel_corners) - {""}
+        if not len(self.wheel_names) == len(set(self.wheel_names)) == len(self.wheel_corners) == len(corners) == 4:
             raise ValueError(
                 "wheel_names must name four wheels, one at each corner, with front or rear and left or right in its "
                 f"name, but is {', '.join(self.wheel_names)}; where names do not say it, give corners: [front_left, "
                 "rear_left, …] in the same order"
             )
         return self
+
+    @property
+    def wheel_corners(self) -> tuple[str, ...]:
+        """The corner of each wheel: as said, or as its name says it."""
+        return self.corners or tuple(_corners(self.wheel_names))
 
     @property
     def lever(self) -> float:
@@ -115,18 +129,18 @@ class MecanumBase(_Wheeled):
     @property
     def roller_signs(self) -> tuple[float, ...]:
         """+1 for front left and rear right, whose rollers point one way; -1 for the other two."""
-        return tuple(1.0 if corner in ("front_left", "rear_right") else -1.0 for corner in self.corners)
+        return tuple(1.0 if corner in ("front_left", "rear_right") else -1.0 for corner in self.wheel_corners)
 
     @cached_property
     def inverse_matrix(self) -> Float[np.ndarray, "4 3"]:
         """Wheel speeds [rad/s] from a body twist."""
-        rows = zip(self.roller_signs, self.corners, strict=True)
+        rows = zip(self.roller_signs, self.wheel_corners, strict=True)
         return _frozen(np.array([[1.0, -sign, _side(c) * self.lever] for sign, c in rows]) / self.wheel_radius)
 
     @cached_property
     def forward_matrix(self) -> Float[np.ndarray, "3 4"]:
         """Body twist [m/s, m/s, rad/s] from wheel speeds: least squares where they disagree."""
-        rows = zip(self.roller_signs, self.corners, strict=True)
+        rows = zip(self.roller_signs, self.wheel_corners, strict=True)
         columns = [[1.0, -sign, _side(c) / self.lever] for sign, c in rows]
         return _frozen(0.25 * self.wheel_radius * np.array(columns).T)  # (3.21)
 
@@ -136,7 +150,9 @@ class MecanumBase(_Wheeled):
 
         It is zero while all four wheels roll, so it measures slip in every sample.
         """
-        return _frozen(0.25 * self.wheel_radius * np.array([[1.0 if "front" in c else -1.0 for c in self.corners]]))
+        return _frozen(
+            0.25 * self.wheel_radius * np.array([[1.0 if "front" in c else -1.0 for c in self.wheel_corners]])
+        )
 
 
 def _side(place: str) -> float:
@@ -164,18 +180,24 @@ class DifferentialBase(_Wheeled):
     @model_validator(mode="before")
     @classmethod
     def _find_sides(cls, values: Any) -> Any:
-        return _with_places(values, "sides", cls.model_fields["wheel_names"].default)
+        return _with_places(values, "sides")
 
     @model_validator(mode="after")
     def _left_and_right(self) -> "DifferentialBase":
         count = len(self.wheel_names)
-        if not (count == len(set(self.wheel_names)) == len(self.sides) and len(set(self.sides)) == 2):
+        sides = self.wheel_sides
+        if not (count == len(set(self.wheel_names)) == len(sides) and set(sides) == {"left", "right"}):
             raise ValueError(
                 "wheel_names must be a left and a right wheel, or several of each, with left or right in each name, "
                 f"but is {', '.join(self.wheel_names)}; where names do not say it, give sides: [left, right, …] in the "
                 "same order"
             )
         return self
+
+    @property
+    def wheel_sides(self) -> tuple[str, ...]:
+        """The side of each wheel: as said, or as its name says it."""
+        return self.sides or tuple(_sides(self.wheel_names))
 
     @property
     def lever(self) -> float:
@@ -190,14 +212,14 @@ class DifferentialBase(_Wheeled):
     @cached_property
     def inverse_matrix(self) -> Float[np.ndarray, "w 3"]:
         """Wheel speeds [rad/s] from a body twist; v_y has no effect."""
-        rows = [[1.0, 0.0, _side(side) * self.lever] for side in self.sides]
+        rows = [[1.0, 0.0, _side(side) * self.lever] for side in self.wheel_sides]
         return _frozen(np.array(rows) / self.wheel_radius)
 
     @cached_property
     def forward_matrix(self) -> Float[np.ndarray, "3 w"]:
         """Body twist [m/s, m/s, rad/s] from wheel speeds, those of a side averaged; v_y is 0 by their constraint."""
-        columns = np.array([[1.0, 0.0, _side(side) / self.lever] for side in self.sides])
-        counts = np.array([self.sides.count(side) for side in self.sides])
+        columns = np.array([[1.0, 0.0, _side(side) / self.lever] for side in self.wheel_sides])
+        counts = np.array([self.wheel_sides.count(side) for side in self.wheel_sides])
         return _frozen(0.5 * self.wheel_radius * columns.T / counts)
 
     @cached_property
@@ -253,4 +275,50 @@ class OmniBase(_Wheeled):
         return _frozen(0.5 * self.wheel_radius * U[:, 3:].T)
 
 
-Base = MecanumBase | DifferentialBase | OmniBase
+class AckermannBase(_Wheeled):
+    """Steered like a car: speeds of rear wheels and one steering angle; base_link is in the middle of the rear axle.
+
+    Its twist is not linear in the numbers: v_x is the wheels' mean (`forward_matrix`), and ω = v_x tan δ / wheelbase.
+    """
+
+    kind: Literal["ackermann"] = "ackermann"
+    wheelbase: Length = Field(description="Distance of the front axle from the rear one [m].")
+    track_width: Length = Field(description="Distance between the rear wheels [m].")
+    rear_wheels: tuple[str, ...] = Field(min_length=1, description="The rear wheels, which are averaged.")
+    steering: str = Field(description="The joint whose position is the steering angle δ [rad], positive to the left.")
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """The joints in the order of a measurement's numbers: the rear wheels, the steering."""
+        return (*self.rear_wheels, self.steering)
+
+    @property
+    def lever(self) -> float:
+        """Half the track width [m]."""
+        return 0.5 * self.track_width
+
+    @property
+    def half_size(self) -> tuple[float, float]:
+        """Half the length and half the width of what stands on the floor [m]: around both axles, the rear one in it."""
+        return self.wheelbase + self.wheel_radius, self.lever + _TYRE
+
+    @cached_property
+    def inverse_matrix(self) -> Float[np.ndarray, "w 3"]:
+        """Wheel speeds [rad/s] from a body twist; none of the steering."""
+        rows = [[1.0, 0.0, (-1) ** i * self.lever] for i in range(len(self.rear_wheels))]
+        return _frozen(np.array([*rows, [0.0, 0.0, 0.0]]) / self.wheel_radius)
+
+    @cached_property
+    def forward_matrix(self) -> Float[np.ndarray, "3 w"]:
+        """The forward speed [m/s] from the rear wheels' speeds; what turns is the steering, which is not in here."""
+        matrix = np.zeros((3, len(self.wheel_names)))
+        matrix[0, :-1] = self.wheel_radius / len(self.rear_wheels)
+        return _frozen(matrix)
+
+    @cached_property
+    def residual_matrix(self) -> Float[np.ndarray, "0 w"]:
+        """Slip is not observed."""
+        return _frozen(np.zeros((0, len(self.wheel_names))))
+
+
+Base = MecanumBase | DifferentialBase | OmniBase | AckermannBase

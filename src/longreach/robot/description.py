@@ -50,14 +50,25 @@ class Encoder(_Described):
         default=None,
         ge=8,
         le=52,
-        description="The counter wraps at 2^bits; None: it never does, and a jump is a break.",
+        description="The counter wraps at 2^bits; None: as wrap_range says.",
+    )
+    wrap_range: _Positive | None = Field(
+        default=None,
+        description="Readings start again after this much [rad or counts]; None: found, where steps are small.",
     )
 
     @model_validator(mode="after")
     def _ticks_have_a_size(self) -> "Encoder":
+        if self.bits is not None and self.wrap_range is not None:
+            raise ValueError("give either bits or wrap_range")
         if self.signal == "ticks" and self.counts_per_revolution is None:
             raise ValueError("an encoder whose signal is ticks needs counts_per_revolution")
         return self
+
+    @property
+    def range(self) -> float:
+        """What readings start again after [rad or counts]; 0 where it is not stated."""
+        return self.wrap_range or (0.0 if self.bits is None else 2.0**self.bits)
 
     @property
     def resolution(self) -> float | None:
@@ -209,4 +220,4 @@ class RobotDescription(_Described):
     @property
     def holonomic(self) -> bool:
         """Whether the base can move sideways."""
-        return self.drive != "differential" if self.base is None else self.base.kind != "differential"
+        return self.drive != "differential" if self.base is None else self.base.kind in ("mecanum", "omni")

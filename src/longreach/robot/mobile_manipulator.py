@@ -2,6 +2,7 @@
 
 from collections.abc import Container
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,21 @@ class MobileManipulator(Kinematics):
             chain = _accelerated(chain, arm.accelerations)
         chain = _with_frames(chain, description, _BASE_LINK if _BASE_LINK in chain.frames else root)
         return cls(description, chain.ending(description.tool or end), urdf)
+
+
+def turned_like(robot: MobileManipulator, q: Float[np.ndarray, " n"]) -> MobileManipulator:
+    """Return the robot with its heading's limits moved by the whole turns that it has made at q: it has no stops."""
+    heading = float(q[2]) if robot.base.stop and len(q) > 2 else 0.0
+    turns = round(heading / (2 * np.pi)) if np.isfinite(heading) else 0
+    return robot if turns == 0 else _turned(robot, turns)
+
+
+@lru_cache(maxsize=64)
+def _turned(robot: MobileManipulator, turns: int) -> MobileManipulator:
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    lower[2] += 2 * np.pi * turns
+    upper[2] += 2 * np.pi * turns
+    return robot.with_limits(lower, upper)
 
 
 def description_of(robot: RobotDescription | MobileManipulator) -> RobotDescription:

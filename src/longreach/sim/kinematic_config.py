@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
+from longreach.errors import ConfigError
 from longreach.robot.description import Encoder, Mount, RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 from longreach.sim._kinematic_kernels import Traits
@@ -48,6 +49,8 @@ def traits_of(robot: MobileManipulator, config: KinematicConfig) -> Traits:
     Wheels that no base describes turn as the body moves: one for each of v_x, v_y, ω.
     """
     description, sensors, limits = robot.description, config.sensors, arm_limits(robot)
+    if description.base is not None and description.base.kind == "ackermann":
+        raise ConfigError(f"{robot.name} is steered like a car and cannot be simulated; estimate its recordings.")
     base, encoder, imu = description.base, description.encoder or Encoder(), description.imu
     inverse = np.eye(3) if base is None else base.inverse_matrix
     if description.bolted:

@@ -31,6 +31,9 @@ def straight(
         PlanningError: the goal is outside the joints' limits.
     """
     robot = roomy(robot)
+    if robot.base.stop:  # the short way round
+        goal = goal.copy()
+        goal[2] = q[2] + np.remainder(goal[2] - q[2] + np.pi, 2 * np.pi) - np.pi
     outside = np.flatnonzero((goal < robot.lower) | (goal > robot.upper))
     if len(outside):
         i = int(outside[0])
