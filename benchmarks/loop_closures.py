@@ -94,7 +94,7 @@ def with_drift(recording: Recording, rng: np.random.Generator) -> Built:
         rows.append(PathRow(scan.stamp, pose, P))
     state = mapper.settled(mapper.step(mapper.init(recording.mounts[scans[0].frame]), scans, rows))
     accepted = [state.matches[a] for a in state.accepted if a not in state.withdrawn]
-    solved = refined(state.keyframes, state.poses, mapper.closure_edges(accepted))
+    solved = refined(state.keyframes, state.poses, mapper.closure_edges(accepted)).solved
     gates = Counter(m.gate or "passed" for m in state.matches)
     stamps = np.array([k.stamp for k in state.keyframes])
     return Built(accepted, stamps, solved, gates)

@@ -46,7 +46,8 @@ def test_a_loop_is_closed_and_drift_taken_back(lap, state):
 
 def test_a_refined_map_keeps_its_loops_closed(lap, state):
     truth, *_ = lap
-    solved = refined(state.keyframes, state.poses, mapper.closure_edges([state.matches[a] for a in state.accepted]))
+    edges = mapper.closure_edges([state.matches[a] for a in state.accepted])
+    solved = refined(state.keyframes, state.poses, edges).solved
     assert solved.converged
     assert np.count_nonzero(solved.weights) > len(state.accepted)
     assert errors(solved.poses, truth, state).max() < 0.2

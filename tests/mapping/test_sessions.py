@@ -7,7 +7,7 @@ from longreach.app.map import build_map
 from longreach.geometry import se2
 from longreach.io.robots import load_robot
 from longreach.mapping import sessions
-from longreach.mapping.keyframes import local_edges
+from longreach.mapping.keyframes import odometry_edges
 from longreach.mapping.map_file import Map, load_map, save_map
 from longreach.sim.kinematic import make_recording
 from longreach.sim.kinematic_config import KinematicConfig
@@ -79,7 +79,7 @@ def small():
 def test_a_maps_keyframes_come_back_with_the_odometry_that_they_had(small, tmp_path):
     save_map(tmp_path / "map.lrmap", small)
     keyframes = sessions.keyframes_of(load_map(tmp_path / "map.lrmap"))
-    edges = local_edges(keyframes)
+    edges = odometry_edges(keyframes)
     np.testing.assert_allclose(edges.z, small.graph.odometry.z, atol=1e-12)
     assert np.array_equal(edges.j, small.graph.odometry.j)
     assert np.all(np.diff([k.way for k in keyframes]) > 0)

@@ -13,6 +13,7 @@ from longreach.mapping.solver import (
     optimize,
     optimize_robust,
     relative_covariances,
+    variance_factors,
 )
 
 
@@ -218,3 +219,34 @@ def test_a_graph_without_poses_and_weights_that_do_not_fit_are_refused_in_a_sent
 
 def test_the_quantile_is_that_of_chi2_with_three_degrees_of_freedom():
     np.testing.assert_allclose(chi2_quantile(0.999), chi2_distribution.ppf(0.999, 3))
+
+
+def test_covariances_that_are_too_small_or_too_large_are_found_out_by_residuals(rng):
+    found = []
+    for _ in range(20):
+        graph, _, _ = street_graph(rng, n=120, closures=80)
+        scaled = [Edges(e.i, e.j, e.z, f * e.covariance) for e, f in ((graph.odometry, 4.0), (graph.closures, 0.25))]
+        solved = optimize(PoseGraph(graph.poses, *scaled))
+        for _ in range(5):  # a factor at a time is exact only where the other is right
+            odometry, closures = variance_factors(solved)
+            scaled = [Edges(e.i, e.j, e.z, f * e.covariance) for e, f in zip(scaled, (odometry, closures), strict=True)]
+            solved = optimize(PoseGraph(solved.poses, *scaled))
+        found.append(
+            [scaled[0].covariance[0, 0, 0] / COVARIANCE[0, 0], scaled[1].covariance[0, 0, 0] / COVARIANCE[0, 0]]
+        )
+    np.testing.assert_allclose(np.mean(found, axis=0), 1.0, atol=0.1)
+
+
+def test_redundancies_of_all_edges_are_as_many_as_there_are_more_numbers_measured_than_sought(rng):
+    solved = optimize(street_graph(rng, n=50, closures=30)[0])
+    few = variance_factors(solved), variance_factors(solved, 1000.0)
+    chi2 = np.array([solved.chi2[:49].sum(), solved.closure_chi2.sum()])
+    assert np.sum(chi2 / few[0]) == pytest.approx(3 * len(solved.graph.closures), rel=1e-3)
+    np.testing.assert_allclose(few[1], (1000.0 + chi2) / (1000.0 + chi2 / few[0]))
+
+
+def test_without_closures_nothing_is_said_of_covariances(rng):
+    solved = optimize(
+        PoseGraph(walk(rng, 20), measured(rng, walk(rng, 20), np.arange(19), np.arange(1, 20)), no_edges())
+    )
+    assert variance_factors(solved, 1.0) == pytest.approx((1.0, 1.0), abs=1e-6)

@@ -130,18 +130,19 @@ def build_map(
     _check(recordings, robot, add_to, truth, relations)
 
     done = [localized(recording, robot, config, tell) for recording in recordings]
-    map_, states, held = add_to, dict[int, MapperState](), dict[int, set[int]]()
+    map_, states, refined_ = add_to, dict[int, MapperState](), dict[int, _Refined]()
     while True:  # what nothing joins with the map may be joined once another recording is
         before, left = map_, [k for k in range(len(done)) if k not in states or not states[k].is_joined]
         for k in left:
-            map_, states[k], held[k] = _added(map_, done[k], robot, tell)
+            map_, states[k], refined_[k] = _added(map_, done[k], robot, tell)
         if map_ is before or before is add_to is None or all(state.is_joined for state in states.values()):
             break
     assert map_ is not None
     tell("evaluation", 0.0)
     solved = solver.optimize(map_.graph, map_.weights)
     parts = [
-        _judged(done[k], states[k], held[k], solved, map_.stamps, truth, relations, config) for k in range(len(done))
+        _judged(done[k], states[k], refined_[k], solved, map_.stamps, truth, relations, config)
+        for k in range(len(done))
     ]
     if add_to is None:
         map_ = replace(map_, T_truth_map=carried_to_truth(parts[0].evaluation, "mapped"))
@@ -149,10 +150,17 @@ def build_map(
     return BuiltMap(**{name: getattr(map_, name) for name in names}, robot=robot, config=config, parts=tuple(parts))
 
 
+class _Refined(NamedTuple):
+    """Of a session: the matches that have weight in the end, and the noise (n, 3, 3) of each keyframe's own scan."""
+
+    held: set[int]
+    noise: np.ndarray
+
+
 def _added(
     before: Map | None, done: Done, robot: RobotDescription, tell: Progress
-) -> tuple[Map | None, MapperState, set[int]]:
-    """Add a session to a map, and say which of its matches hold; where nothing joins it, return the map as it was."""
+) -> tuple[Map | None, MapperState, _Refined]:
+    """Add a session to a map, and say what came of it; where nothing joins it, return the map as it was."""
     recording, laser = done.recording, sensor_mount(done.recording, robot, "lidar")
     if before is not None:
         sessions.check_robot(before, robot.name, recording.scans[0], laser)
@@ -161,13 +169,13 @@ def _added(
     state = _folded(start, recording, _path(done), tell)
     accepted = [a for a in state.accepted if a not in state.withdrawn]
     if not state.is_joined:
-        return before, state, set(accepted)
+        return before, state, _Refined(set(accepted), np.zeros((len(state.keyframes), 3, 3)))
     edges = mapper.closure_edges([state.matches[a] for a in accepted])
-    solved = refined(state.keyframes, state.poses, edges, lambda fraction: tell("refinement", fraction))
+    solved, noise = refined(state.keyframes, state.poses, edges, lambda fraction: tell("refinement", fraction))
     held = {a for a, weight in zip(accepted, solved.weights, strict=False) if weight > 0.5}  # they come first
     frames = {k.scan.frame for k in state.keyframes[state.first :]}
     session = Session(recording.name, robot.name, {frame: laser for frame in frames}, robot.model_dump(mode="json"))
-    return sessions.map_of(solved, state, session, before), state, held
+    return sessions.map_of(solved, state, session, before), state, _Refined(held, noise)
 
 
 def _path(done: Done) -> list[PathRow]:
@@ -187,7 +195,7 @@ def _folded(state: MapperState, recording: Recording, rows: Sequence[PathRow], t
 def _judged(
     done: Done,
     state: MapperState,
-    held: set[int],
+    found: _Refined,
     solved: solver.Solved,
     stamps: np.ndarray,
     truth: PoseTrajectory | None,
@@ -196,14 +204,15 @@ def _judged(
 ) -> Mapped:
     """Hold a session's trajectories against what references there are.
 
-    held: the matches that have weight in the end; stamps: of the map's keyframes [s].
+    found: of its keyframes in the map; stamps: of the map's keyframes [s].
     """
     recording, rows = done.recording, _path(done)
     clock = np.array([row.stamp for row in rows])
     recorded, fused = recording.as_recorded(clock), np.array([row.pose for row in rows])
     own, trajectories = slice(state.first, len(state.keyframes)), {}
     if state.is_joined:
-        path = mapper.on_map(state.keyframes[own], solved.poses[own], solver.marginals(solved)[own], rows)
+        covariances = solver.marginals(solved)[own] + found.noise[own]
+        path = mapper.on_map(state.keyframes[own], solved.poses[own], covariances, rows)
         trajectories["mapped"] = PoseTrajectory(recorded, *path, clock)
     trajectories["fused"] = PoseTrajectory(recorded, fused, np.array([row.covariance for row in rows]), clock)
     within = _within(relations, recorded)
@@ -214,7 +223,7 @@ def _judged(
     remarks = (*recording.remarks, *done.remarks, *evaluation.remarks)
     new = recording.as_recorded(np.array([k.stamp for k in state.keyframes[own]]))
     closures = _closures(
-        state, held, solved.poses if state.is_joined else state.poses, np.concatenate([stamps[: own.start], new])
+        state, found.held, solved.poses if state.is_joined else state.poses, np.concatenate([stamps[: own.start], new])
     )
     first = state.first if state.is_joined else None
     return Mapped(recording, first, closures, replace(evaluation, metrics=metrics, remarks=remarks))

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import _loop_closure_kernels as kernels
-from longreach.mapping.keyframes import MATCHER, Place
+from longreach.mapping.keyframes import Place, matcher
 from longreach.odometry import _local_map_kernels as map_kernels
 from longreach.odometry.local_map import LocalMap
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
@@ -36,9 +36,6 @@ _BEAMS = 200  # that are followed through a map
 _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of it
 _ROUNDING = np.diag([_CELL**2, _CELL**2, 0.02**2])  # of the search, which the window grows by
 NEAR = np.array([0.3, 0.3, 0.1])  # [m, m, rad] deviations of a fit's prior: wide against a cell
-# Of the covariance of a fit: neighbouring matches and the scans in a place share errors that its residuals do not show;
-# 1.5² is what two of four real logs ask for. And of what the residuals scatter, a part that all beams have in common.
-_WIDER, _COMMON = 2.25, 0.25
 # Gates on a fit. Of 1276 matches on four real logs that were right 90 % pass; see benchmarks/mapping.py.
 _OVERLAP = 0.4  # share of the returns that see a surface of the place, at least
 _AGREES = 0.55  # of these, the share that agrees but for noise, at least
@@ -140,21 +137,17 @@ def sampled(scan: Features) -> Float[np.ndarray, "2 m"]:
     return np.ascontiguousarray(points[:, np.sort(at[:: max(len(at) // _POINTS, 1)])])
 
 
-def fitted(scan: Features, to: LocalMap, pose: np.ndarray, free: np.ndarray, sigma: np.ndarray = NEAR) -> Fit:
-    """Fit a scan to a local map about a pose (3,); free (3,): variances along directions that it does not show."""
-    return MATCHER.fit(scan, to, Prior(pose, sigma, free, free), pose)
+def fitted(
+    scan: Features, to: LocalMap, pose: np.ndarray, free: np.ndarray, sigma: np.ndarray = NEAR, joined: int = 1
+) -> Fit:
+    """Fit joined scans to a local map about a pose (3,); free (3,): variances along directions that they do not see."""
+    return matcher(joined).fit(scan, to, Prior(pose, sigma, free, free), pose)
 
 
 def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
     """Return the share of a scan's beams that pass through a surface of a local map, in which the base is at a pose."""
     stride = max(scan.count // _BEAMS, 1)
     return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
-
-
-def covariance_of(fit: Fit, reach: float) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance of a fit to old keyframes, of a scan with a reach [m]."""
-    common = (_COMMON * fit.scale) ** 2
-    return _WIDER * fit.covariance + np.diag([common, common, common / max(reach, 1.0) ** 2])
 
 
 def compared(
@@ -174,7 +167,7 @@ def compared(
     peak = searched.best(_LEAST)
     if peak is None:
         return None
-    fit = fitted(scan, place.local_map, peak.pose, free)
+    fit = fitted(scan, place.local_map, peak.pose, free, joined=len(now.rows))
     if fit.rows == 0:
         return None
     longest = WINDOW * math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1])
@@ -182,9 +175,9 @@ def compared(
     nearer, middle = nearest(fit.pose)
     if nearer.middle != place.middle:
         place, mean = nearer, se2.between(middle, mean)
-        fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free)
+        fit = fitted(scan, place.local_map, se2.between(middle, fit.pose), free, joined=len(now.rows))
     overlap = fit.rows / scan.count
-    found = covariance_of(fit, scan.reach) + now.bending + place.bending
+    found = fit.covariance + now.bending + place.bending
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),
@@ -218,7 +211,8 @@ def found_anywhere(
     if peak is None:
         return None
     place, middle = nearest(peak.pose)
-    fit = fitted(scan, place.local_map, se2.between(middle, peak.pose), np.full(3, 100.0))
+    at = se2.between(middle, peak.pose)
+    fit = fitted(scan, place.local_map, at, np.full(3, 100.0), joined=len(now.rows))
     if fit.rows == 0 or not math.isfinite(fit.scale):
         return None
     overlap = fit.rows / scan.count
@@ -230,7 +224,7 @@ def found_anywhere(
     )  # fmt: skip
     if not gate_of(evidence):
         evidence = evidence._replace(second=_second_anywhere(regions, points, peak) if not len(fit.directions) else 1.0)
-    covariance = covariance_of(fit, scan.reach) + now.bending + place.bending
+    covariance = fit.covariance + now.bending + place.bending
     return Match(place.middle, now.middle, fit.pose, covariance, evidence, gate_of(evidence))
 
 

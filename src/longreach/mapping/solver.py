@@ -31,6 +31,7 @@ class Order(NamedTuple):
     parent: np.ndarray  # (n,) the elimination tree
     start: np.ndarray  # (n + 1,) of the columns of L
     rows: np.ndarray  # (nnz,)
+    place: np.ndarray  # (m,) the block of each edge
     scatter: Any  # (n + nnz, 3 m) sparse: adds up what edges give the diagonal at i, at j, and the block between
 
 
@@ -45,13 +46,18 @@ class Factor:
     blocks: Float[np.ndarray, "nnz 3 3"]
 
     @cached_property
-    def marginals(self) -> Float[np.ndarray, "n 3 3"]:
-        """Covariance of each pose, in the order of the poses."""
+    def covariances(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "nnz 3 3"]]:
+        """Covariance of each pose, in the order of the poses, and those of two poses where the factor has a block."""
         S, off, place = self.inverses.copy(), np.zeros_like(self.blocks), np.full(len(self.inverses), -1)
         kernels.marginals(self.order.start, self.order.rows, self.blocks, S, off, place)
         S = S[self.order.row]
         S[self.fixed] = 0.0
-        return S
+        return S, off
+
+    @property
+    def marginals(self) -> Float[np.ndarray, "n 3 3"]:
+        """Covariance of each pose, in the order of the poses."""
+        return self.covariances[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +305,7 @@ def order_of(graph: PoseGraph) -> Order:
     place = np.searchsorted(column * n + rows, low * n + high)
     to = np.concatenate([row[edges.i], row[edges.j], n + place])
     scatter = csr_matrix((np.ones(len(to)), (to, np.arange(len(to)))), shape=(n + len(rows), len(to)))
-    return Order(row, parent, start, rows, scatter)
+    return Order(row, parent, start, rows, place, scatter)
 
 
 def _parts(n: int, edges: Edges, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -328,7 +334,6 @@ def relative_covariances(
     Cheapest for many pairs with few different j.
     """
     f, order = solved.factor, solved.factor.order
-    S = f.marginals
     cross = np.zeros((len(i), 3, 3))
     for column in np.unique(j).tolist():
         pairs = np.flatnonzero(j == column)
@@ -340,11 +345,39 @@ def relative_covariances(
             order.parent, order.start, order.rows, f.inverses, f.blocks, row, wanted, needed, X, Y
         )  # fmt: skip
         cross[pairs] = -Y[wanted]
-    cross[f.fixed[i] | f.fixed[j]] = 0.0
-    x = se2.between(solved.poses[j], solved.poses[i])
-    A = adjoints(x)
+    return _relative(solved, i, j, cross)
+
+
+def _relative(solved: Solved, i: np.ndarray, j: np.ndarray, cross: np.ndarray) -> np.ndarray:
+    """Return the covariances of T_i⁻¹ · T_j from those of ξ_i with ξ_j (k, 3, 3)."""
+    f = solved.factor
+    S, cross = f.marginals, np.where((f.fixed[i] | f.fixed[j])[:, None, None], 0.0, cross)
+    A = adjoints(se2.between(solved.poses[j], solved.poses[i]))
     A_cross = A @ cross
     covariance = S[j] + A @ S[i] @ A.transpose(0, 2, 1) - A_cross - A_cross.transpose(0, 2, 1)
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     covariance[f.part[i] != f.part[j]] = np.diag([np.inf] * 3)
     return covariance
+
+
+def variance_factors(solved: Solved, known: float = 0.0) -> tuple[float, float]:
+    """Return by which factors the covariances of odometry and of closures are too small, as their residuals say.
+
+    A group's factor is its Σ ξᵀ Σ⁻¹ ξ over its redundancy Σ (3 - tr Σ⁻¹ P), P the covariance of T_i⁻¹ · T_j after the
+    solution: how much of the edges follows from the others. Withdrawn closures do not count.
+    known: as much redundancy says that the factor is 1.
+    Source: Förstner 1979, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten".
+    """
+    edges, f, m = solved.graph.edges, solved.factor, len(solved.graph.odometry)
+    block, row = f.covariances[1][f.order.place], f.order.row
+    cross = np.where((row[edges.i] > row[edges.j])[:, None, None], block, block.transpose(0, 2, 1))
+    counts = np.concatenate([np.ones(m, dtype=bool), solved.weights > 0.5])
+    P = _relative(solved, edges.i, edges.j, cross)
+    P[~counts] = 0.0
+    redundancy = counts * (3.0 - np.einsum("mij,mji->m", information(edges.covariance), P))
+    chi2 = counts * solved.chi2
+    odometry, closures = (
+        float((known + np.sum(chi2[part])) / max(known + np.sum(redundancy[part]), 1e-9))
+        for part in (slice(m), slice(m, None))
+    )
+    return odometry, closures

@@ -16,7 +16,7 @@ from longreach.kernels import kernel
 from longreach.odometry._local_map_kernels import surface_rows
 from longreach.odometry.matchers._feature_kernels import smallest
 
-FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known common coarse fine")
+FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known common surface coarse fine")
 ROWS = 8  # numbers kept of a matched point
 _AGREE = 6.0  # residuals that agree, about: a point shows less than its scatter says, against the prior
 _SURFACE = 16  # neighbouring rows whose residuals may agree
@@ -176,6 +176,25 @@ def lean(rows, m, limit, reach, H, V, k, out):
         out[l] = out[l] / (H[l, l] * H[l, l]) if l != k else 0.0
 
 
+@kernel
+def offsets(rows, m, limit, reach, H, V, deviation, observable, S):
+    """Add to S (3, 3), in the basis V, what an error of a deviation [m] gives that each line of rows has in common."""
+    sums = np.zeros(3)
+    for i in range(m):
+        e, w = rows[3, i], rows[4, i]
+        w *= max(1.0 - e * e * w * limit, 0.0)
+        for k in range(3):
+            sums[k] += w * (rows[0, i] * V[0, k] + rows[1, i] * V[1, k] + rows[2, i] / reach * V[2, k])
+        if i % _LINE == _LINE - 1 or i == m - 1:
+            for k in range(3):
+                for l in range(k + 1):
+                    S[k, l] += (
+                        deviation * deviation * sums[k] * sums[l] * observable[k] * observable[l] / (H[k, k] * H[l, l])
+                    )
+                    S[l, k] = S[k, l]
+            sums[:] = 0.0
+
+
 @kernel(fastmath=True)
 def score_sums(rows, m, limit, reach, V, block, scores, S, shared):
     """Fill S and shared (3, 3), in the basis V: the covariance of the scores Σ ψ a, and the map's part in it.
@@ -221,7 +240,8 @@ def sandwich(rows, m, scale, reach, settings, prior, H, V, observable, covarianc
     """Fill covariance and shared (3, 3) of the base's ξ: the sandwich H⁻¹ S H⁻¹, wide along what is not observable.
 
     Along it the pose is astray as far as the prior, which surfaces whose directions are wrong turn into errors of the
-    other directions. A part `common` of the noise is taken to be common to all beams: it does not average out.
+    other directions. A part `common` of the noise is taken to be common to all beams, and a part `surface` to
+    those that see one line: these do not average out.
     """
     limit = 1.0 / (settings.gate * scale) ** 2
     S, K = np.zeros((3, 3)), np.zeros((3, 3))
@@ -236,6 +256,8 @@ def sandwich(rows, m, scale, reach, settings, prior, H, V, observable, covarianc
             S[k, l] *= both
             K[k, l] *= both
         S[k, k] += bias * bias
+    if settings.surface > 0.0:
+        offsets(rows, m, limit, reach, H, V, settings.surface * scale, observable, S)
     for k in range(3):
         if observable[k] > 0.0:
             continue
