@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from longreach.cli.options import ASSUME
+from longreach.cli import input_options
 from longreach.cli.progress import shown_progress
 from longreach.cli.tables import print_table
 
@@ -16,7 +16,7 @@ def command(
     truth: str | None = typer.Option(
         None, help="Take motions from a reference in place of scans: a topic of the recordings, or a file for one."
     ),
-    assume: list[str] = ASSUME,
+    assume: list[str] = input_options.ASSUME,
 ) -> None:
     """Calibrate a robot and write its description to use from now on, with σ for each number, into a folder."""
     from longreach.app.calibrate import calibrate, is_changed, write_calibration
@@ -29,7 +29,8 @@ def command(
     if truth is not None and Path(truth).exists() and len(recordings) > 1:
         raise ConfigError(f"{truth} is the reference of one recording; give a topic, or one recording.")
     with shown_progress() as progress:
-        runs = [open_run(path, robot, truth=truth, assume=assume, progress=progress) for path in recordings]
+        assumed = input_options.named_values("--assume", assume, "lidar.mount.yaw=3.14")
+        runs = [open_run(path, robot, truth=truth, assume=assumed, progress=progress) for path in recordings]
         warm_up(progress, "estimation")  # after what can be wrong with the files
         result = calibrate(
             [run.recording for run in runs],
