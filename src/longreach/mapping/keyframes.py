@@ -148,8 +148,8 @@ def motion_covariance(
 
 
 def with_all_drift(local: Float[np.ndarray, "3 3"], way: float) -> Float[np.ndarray, "3 3"]:
-    """Return the covariance of a motion over a way [m] with all drift, from the local one."""
-    return local + (1.0 - LOCAL) * np.diag(DRIFT * max(way, _SHORTEST))
+    """Return the covariance of a motion over a way [m] with all drift, from one with a part of it that is not known."""
+    return local + np.diag(DRIFT * max(way, _SHORTEST))
 
 
 def matcher(joined: int = 1) -> PointToLine:
