@@ -127,7 +127,7 @@ def main() -> None:
         if options.world not in (None, world):
             continue
         made, _ = driven(world, 0, length, 0.1)
-        map_ = build_map(made, THING).map
+        map_ = build_map(made, THING)
         assert map_.T_truth_map is not None
         known = known_map.prepared(map_)
         for seed in range(1, options.seeds + 1):

@@ -18,7 +18,7 @@ SIGMAS = np.array([0.2, 0.2, 0.1])
 
 @pytest.fixture(scope="module")
 def mapped(made, thing):
-    return build_map(made, thing).map
+    return build_map(made, thing)
 
 
 @pytest.fixture(scope="module")
