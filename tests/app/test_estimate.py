@@ -125,6 +125,13 @@ def test_one_source_alone_is_the_filter_on_that_source(made, thing):
     assert {"wheels", "lidar"} <= set(alone.trajectories)  # dead reckoning is there to compare, fused or not
 
 
+def test_without_a_reference_the_lidar_has_a_path_only_where_it_is_asked_for(short, thing):
+    bare = short.replace(truth=None)
+    assert set(estimate(bare, thing).trajectories) == {"fused", "wheels"}
+    asked = estimate(bare, thing, EstimateConfig(compare=True))
+    assert np.hypot(*np.diff(asked.trajectories["lidar"].poses[:, :2], axis=0).T).sum() > 0.2
+
+
 def test_sources_that_are_not_there_are_named(made, thing):
     config = EstimateConfig(sources=("lidar", "fixes"))
     with pytest.raises(EstimationError, match="The recording has no fixes to fuse; it has wheels, lidar, imu"):

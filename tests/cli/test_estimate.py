@@ -71,7 +71,7 @@ def test_every_kind_of_bag_is_estimated(run, bags, tmp_path, name, made):
 @pytest.mark.parametrize("name", ["a.log", "a.clf", "a.log.gz", "a.clf.bz2"])
 def test_a_log_is_estimated_with_its_own_stamps(run, carmen, tmp_path, name):
     stamps = [976052857.0, 976052857.2, 976052857.1, 976052857.6, 976052857.8]
-    answer = run("estimate", carmen(stamps, name=name), "--robot", "intel", "--out", tmp_path / "out")
+    answer = run("estimate", carmen(stamps, name=name), "--robot", "intel", "--compare", "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "note: 1 of 5 stamps run backwards; the order of the file was kept" in answer.out
     for path in ("fused", "wheels", "lidar"):

@@ -129,10 +129,12 @@ def estimate(
 
     tell("evaluation", 0.0)
     rows = {name: _at_rows(path, recording) for name, path in estimated.items() if len(path)}
-    matches = alone if "wheels" in done.sources else done.output.matches
+    found = _found(alone if "wheels" in done.sources else done.output.matches)
+    steps = {"lidar": (found, recording.scans), "wheels": (wheels.measurements, recording.wheels)}
     dead_reckoning = {
-        "lidar": integrate(_found(matches), [scan.stamp for scan in recording.scans]),
-        "wheels": integrate(wheels.measurements, [record.stamp for record in recording.wheels]),
+        name: integrate(motions, [record.stamp for record in records])
+        for name, (motions, records) in steps.items()
+        if motions
     }
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
