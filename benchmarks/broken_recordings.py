@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -276,9 +277,15 @@ def scale_imu(rows: Rows, turn: float, felt: float) -> None:
             vector.x, vector.y, vector.z = by * vector.x, by * vector.y, by * vector.z
 
 
-@way("imu", "no accelerometer")
-def accelerations_of_zero(rows):
-    scale_imu(rows, 1.0, 0.0)
+for name, words, *scales in (
+    ("accelerations_of_zero", "no accelerometer", 1.0, 0.0),
+    ("accelerations_in_g", "in g", 1.0, 1 / 9.80665),
+    ("gyro_in_degrees", "degrees", 180.0 / np.pi, 1.0),
+    ("gyro_with_the_wrong_sign", "sign", -1.0, 1.0),
+    ("gyro_of_twice_the_scale", "times as far", 1.9, 1.0),
+    ("gyro_of_zero", "no gyro", 0.0, 1.0),
+):
+    WAYS[name] = partial(scale_imu, turn=scales[0], felt=scales[1]), "imu", words
 
 
 @way("", "")
@@ -287,35 +294,10 @@ def accelerations_marked_as_not_measured(rows):
         row.message.linear_acceleration_covariance[0] = -1.0
 
 
-@way("imu", "in g")
-def accelerations_in_g(rows):
-    scale_imu(rows, 1.0, 1 / 9.80665)
-
-
 @way("imu", "no gravity")
 def accelerations_without_gravity(rows):
     for row in of(rows, IMU):
         row.message.linear_acceleration.z -= 9.81
-
-
-@way("imu", "degrees")
-def gyro_in_degrees(rows):
-    scale_imu(rows, 180.0 / np.pi, 1.0)
-
-
-@way("imu", "sign")
-def gyro_with_the_wrong_sign(rows):
-    scale_imu(rows, -1.0, 1.0)
-
-
-@way("imu", "times as far")
-def gyro_of_twice_the_scale(rows):
-    scale_imu(rows, 1.9, 1.0)
-
-
-@way("imu", "no gyro")
-def gyro_of_zero(rows):
-    scale_imu(rows, 0.0, 1.0)
 
 
 @way("imu", "not finite")

@@ -23,12 +23,11 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from recordings import Checks
+from recordings import Checks, on_one_core
 
 from longreach.geometry import se2
 from longreach.io.relations import read_relations
@@ -63,18 +62,8 @@ OBSERVED = 0.1  # [m]: a direction with a larger deviation is not observed
 
 def run(out: Path, *arguments: str) -> tuple[float, float]:
     """Run `longreach map` on one core; return its wall clock and processor time [s]."""
-    command = [sys.executable, "-m", "longreach", "map", *arguments, "--out", str(out)]
-    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    began = time.perf_counter()
-    child = subprocess.Popen(command, env=os.environ | one, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(child.pid, {min(os.sched_getaffinity(0))})
-    assert child.stderr is not None
-    said = child.stderr.read().decode()
-    _, status, usage = os.wait4(child.pid, 0)
-    if status:
-        raise SystemExit(f"{' '.join(command)} failed:\n{said}")
-    return time.perf_counter() - began, usage.ru_utime + usage.ru_stime
+    seconds, usage = on_one_core("map", out, *arguments)
+    return seconds, usage.ru_utime + usage.ru_stime
 
 
 class Reference:

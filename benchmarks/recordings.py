@@ -24,7 +24,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,9 +59,9 @@ POLIMI = {"bag1": 0.102, "bag3": 0.210}  # ATE of the wheels [m] with nominal ra
 BRENNER = 0.429, 0.156  # ATE of the wheels and of LIDAR odometry alone [m]
 
 
-def run(out: Path, *arguments: str) -> tuple[Metrics, float, float]:
-    """Run `longreach estimate` on one core; return its metrics, wall clock [s] and peak memory [MB]."""
-    command = [sys.executable, "-m", "longreach", "estimate", *arguments, "--out", str(out)]
+def on_one_core(verb: str, out: Path, *arguments: str) -> tuple[float, Any]:
+    """Run a verb of `longreach` on one core; return its wall clock [s] and what the system says of its resources."""
+    command = [sys.executable, "-m", "longreach", verb, *arguments, "--out", str(out)]
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     began = time.perf_counter()
     child = subprocess.Popen(command, env=os.environ | one, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -72,7 +72,12 @@ def run(out: Path, *arguments: str) -> tuple[Metrics, float, float]:
     _, status, usage = os.wait4(child.pid, 0)
     if status:
         raise SystemExit(f"{' '.join(command)} failed:\n{said}")
-    seconds = time.perf_counter() - began
+    return time.perf_counter() - began, usage
+
+
+def run(out: Path, *arguments: str) -> tuple[Metrics, float, float]:
+    """Run `longreach estimate` on one core; return its metrics, wall clock [s] and peak memory [MB]."""
+    seconds, usage = on_one_core("estimate", out, *arguments)
     return json.loads((out / "metrics.json").read_text(encoding="utf-8")), seconds, usage.ru_maxrss / 1e3
 
 
