@@ -11,6 +11,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.rosbag2.storage_mcap import zstd
 from rosbags.typesys import Stores, get_typestore
@@ -44,12 +45,63 @@ def refused(path, pattern):
         assert str(caught.value).endswith(".")
 
 
-@pytest.mark.parametrize("part", [0.001, 0.1, 0.5, 0.9, 0.999])
-def test_a_file_cut_short_is_refused(tmp_path, part):
-    path = write(tmp_path / "run.bag")
+def write_chunks(path, rng, compression=None):
+    """Write 600 readings, 10 ms apart, to a bag of ROS 1 in about 12 chunks; return where its index begins."""
+    bag = Ros1Writer(path)
+    bag.chunk_threshold = 20_000
+    if compression is not None:
+        bag.set_compression(compression)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with bag:
+        connection = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        for i in range(600):
+            message = messages.imu(store.types, 0.01 * i, Imu(0.0, rng.normal(size=3), rng.normal(size=3)))
+            bag.write(connection, 10**7 * i, bytes(store.serialize_ros1(message, "sensor_msgs/msg/Imu")))
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(part * len(whole))])
+    at = whole.index(b"index_pos=") + 10
+    return int.from_bytes(whole[at : at + 8], "little")
+
+
+@pytest.mark.parametrize("compression", [None, Ros1Writer.CompressionFormat.BZ2, Ros1Writer.CompressionFormat.LZ4])
+def test_a_ros1_bag_is_read_up_to_where_it_is_cut(tmp_path, rng, compression):
+    path = tmp_path / "run.bag"
+    end = write_chunks(path, rng, compression)
+    whole = path.read_bytes()
+    for part in (0.3, 0.5, 0.9, 1.0):
+        path.write_bytes(whole[: int(part * end)])
+        recording = read_bag(path, ROBOT)
+        lost = 0.03 if compression is None else 0.13  # a chunk that is not compressed is read to its last whole message
+        assert 600 * (part - lost) <= len(recording.imu) <= 600 * (part + 0.03)
+        assert [imu.stamp for imu in recording.imu] == pytest.approx(0.01 * np.arange(len(recording.imu)))
+        assert recording.remarks[0].startswith("The bag has no whole index, as if its recording was cut off: the ")
+        assert "damaged" not in recording.remarks[0]
+    assert len(recording.imu) == 600
+    path.write_bytes(whole[:100])
     refused(path, "cannot be read as a ROS bag, it is damaged or cut short")
+
+
+def test_a_chunk_whose_size_was_never_written_is_read(tmp_path):
+    path = write(tmp_path / "run.bag", count=50)
+    whole = path.read_bytes()
+    at = whole.find(b"compression=none")
+    size = whole.index(b"size=", at - 60) if b"size=" in whole[at - 60 : at + 60] else -1
+    assert size > 0
+    start = max(size + 9, at + 16)
+    length = int.from_bytes(whole[start : start + 4], "little")
+    path.write_bytes(whole[:start] + bytes(4) + whole[start + 4 : start + 4 + length - 10])
+    assert len(read_bag(path, ROBOT).imu) == 49
+
+
+def test_a_damaged_chunk_of_a_bag_without_index_is_left_out(tmp_path, rng):
+    path = tmp_path / "run.bag"
+    end = write_chunks(path, rng, Ros1Writer.CompressionFormat.BZ2)
+    data = bytearray(path.read_bytes()[:end])
+    second = data.find(b"BZh", data.find(b"BZh") + 3)
+    data[second + 40 : second + 80] = bytes(40)
+    path.write_bytes(data)
+    recording = read_bag(path, ROBOT)
+    assert 500 < len(recording.imu) < 600
+    assert recording.remarks[0].endswith("; 1 damaged chunks are left out.")
 
 
 @pytest.mark.parametrize("part", [0.0001, 0.1, 0.5, 0.9])

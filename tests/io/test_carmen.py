@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import lzma
+import re
 
 import numpy as np
 import pytest
@@ -240,7 +241,6 @@ def test_scans_that_stand_in_the_log_by_old_and_new_lines_are_read_once(written)
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (log()[:-40], r"line 14: a FLASER line of 6 ranges is cut short or has no count"),
         (flaser(976052857.0, [0, 0, 0], [1.0] * 6)[:-20], "line 1: a FLASER line of 6 ranges is cut short"),
         (odom(976052857.0, [0, 0, 0])[:-15], "line 1: an ODOM line .* it is cut"),
         ("FLASER\n", "line 1: a FLASER line of -1 ranges is cut short or has no count"),
@@ -267,12 +267,38 @@ def test_a_log_that_cannot_be_used_is_one_sentence(written, text, sentence):
     assert str(caught.value).endswith(".")
 
 
-@pytest.mark.parametrize("name", ["a.log.gz", "a.clf.bz2"])
+def test_lines_that_cannot_be_read_are_left_out_and_said(written):
+    lines = log().splitlines(keepends=True)
+    whole = read_carmen(written("".join(lines)), ROBOT)
+    cut = read_carmen(written("".join(lines)[:-40]), ROBOT)
+    assert len(cut.scans) == len(whole.scans) - 1
+    assert re.fullmatch(
+        r"A line was left out: .*, line 14: a FLASER line of 6 ranges is cut short or has no count\.", cut.remarks[0]
+    )
+    lines[4] = lines[4].replace(" 0.", " o.", 1)
+    damaged = written("".join(lines)[:-40])
+    for remarks in (read_carmen(damaged, ROBOT).remarks, inspect(damaged).remarks):
+        assert remarks[0].startswith("2 lines were left out; the first: ")
+        assert ", line 5: 'o." in remarks[0]
+    with pytest.raises(RecordingError, match=r"A reference has to be whole\. 2 lines were left out"):
+        read_corrected_poses(damaged)
+
+
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.99])
-def test_a_compressed_log_cut_short_is_refused(written, name, part):
-    path = written(log(180), name)
+def test_a_compressed_log_is_read_up_to_where_it_is_cut(written, rng, part):
+    text = "\n".join(flaser(976052857.0 + i, [0.1 * i, 0, 0], rng.uniform(1, 9, 180)) for i in range(200))
+    path = written(text, "a.log.gz")
     whole = path.read_bytes()
     path.write_bytes(whole[: int(part * len(whole))])
+    found = read_carmen(path, ROBOT)
+    assert 200 * part - 15 < len(found.scans) < 200
+    np.testing.assert_array_equal([scan.stamp for scan in found.scans], 976052857.0 + np.arange(len(found.scans)))
+    assert re.search(r"cut short: its compressed data end too early\. It was read up to there\.$", found.remarks[0])
+
+
+def test_a_compressed_log_of_which_nothing_is_whole_is_refused(written):
+    path = written(log(180), "a.clf.bz2")
+    path.write_bytes(path.read_bytes()[:200])
     for read in (lambda: read_carmen(path, ROBOT), lambda: inspect(path)):
         with pytest.raises(RecordingError, match=r"is cut short: its compressed data end too early\.$"):
             read()

@@ -7,8 +7,10 @@ Only the definitions of types that are asked for are read, so that a bag with me
 """
 
 import heapq
+import io
 import re
 import shutil
+import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from typing import Any, NamedTuple
 import yaml
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1 import reader as ros1
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -193,7 +196,7 @@ def _time_ns(raw: bytes, at: int, order: Any, *, signed: bool) -> int:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[BagFile]:
-    """Open a ROS 1 bag, a folder or a file of ROS 2, or an .mcap file, of which the end may be missing.
+    """Open a ROS 1 bag, a folder or a file of ROS 2, or an .mcap file; of a bag or an .mcap the end may be missing.
 
     Raises:
         RecordingError: it is no bag, or damaged.
@@ -216,14 +219,98 @@ def _opened(path: Path, stack: ExitStack) -> _File:
     if (suffix := path.suffix.lower()) in COMPRESSIONS:
         path = _unpacked(path, suffix, Path(stack.enter_context(TemporaryDirectory())))
     if kind == "mcap":
-        reader = McapReader(path)
-        times = reader
+        reader = times = McapReader(path)
+    elif kind == "ros1":
+        reader = times = _opened_ros1(path)
     else:
-        reader = Ros1Reader(path) if kind == "ros1" else Sqlite3Reader(path)
+        reader = Sqlite3Reader(path)
         reader.open()
-        times = reader if isinstance(reader, Ros1Reader) else reader.metadata
+        times = reader.metadata
     stack.callback(_close, reader)
     return _File(reader, times.start_time, times.end_time)
+
+
+class _UnindexedRos1Reader(Ros1Reader):
+    """A bag of ROS 1 whose index is missing or damaged: what is whole in its chunks. remarks: a sentence each.
+
+    Source: wiki.ros.org/Bags/Format/2.0.
+    """
+
+    def open(self) -> None:
+        """Find the chunks one after the other.
+
+        Raises:
+            ReaderError: there is none.
+        """
+        self.bio = self.path.open("rb")
+        self.bio.readline()
+        found: dict[int, Connection] = {}
+        damaged = 0
+        with suppress(ros1.ReaderError):  # the end, or what is no record
+            while True:
+                at = self.bio.tell()
+                if ros1.Header.read(self.bio).get_uint8("op") != ros1.RecordType.CHUNK:
+                    ros1.read_bytes(self.bio, ros1.read_uint32(self.bio))
+                    continue
+                self.bio.seek(at)
+                chunk = self.read_chunk()
+                self.bio.seek(chunk.datapos)
+                packed = self.bio.read(chunk.datasize or -1)  # the size is written last, so 0 in a chunk that was begun
+                is_cut = chunk.datasize != len(packed)
+                chunk = chunk._replace(datasize=len(packed))
+                try:
+                    self._take(at, chunk.decompressor(packed), found)
+                    self.chunks[at] = chunk
+                except Exception:  # whatever the decompressors, struct or Unicode say of it
+                    damaged += not is_cut
+        if not self.chunk_infos:
+            self.close()
+            raise ros1.ReaderError("no message in it is whole")
+        self.indexes = {id: sorted(entries) for id, entries in self.indexes.items()}
+        self.connections = [c._replace(msgcount=len(self.indexes.get(c.id, ()))) for c in found.values()]
+        start, end = 1e-9 * self.start_time, 1e-9 * (self.end_time - 1)
+        self.remarks = (
+            f"The bag has no whole index, as if its recording was cut off: the {end - start:.1f} s up to its last "
+            f"whole message, at {end:.3f}, are read"
+            f"{f'; {damaged} damaged chunks are left out' if damaged else ''}.",
+        )
+
+    def _take(self, at: int, data: bytes, found: dict[int, Connection]) -> None:
+        """Take note of what is in the chunk at a place of the file."""
+        file, self.bio = self.bio, io.BytesIO(data)
+        known, entries = {}, []
+        with suppress(ros1.ReaderError):  # a record that is cut
+            while (offset := self.bio.tell()) < len(data):
+                header = ros1.Header.read(self.bio)
+                if header.get_uint8("op") == ros1.RecordType.CONNECTION:
+                    self.bio.seek(offset)
+                    connection = self.read_connection()
+                    known[connection.id] = connection
+                    continue
+                entry = ros1.IndexData(header.get_time("time"), at, offset)
+                ros1.read_bytes(self.bio, ros1.read_uint32(self.bio))
+                entries.append((header.get_uint32("conn"), entry))
+        self.bio = file
+        found.update(known)
+        entries = [(id, entry) for id, entry in entries if id in found]  # else a damaged chunk has what they are
+        for id, entry in entries:
+            self.indexes.setdefault(id, []).append(entry)
+        if entries:
+            times = [entry.time for _, entry in entries]
+            self.chunk_infos.append(ros1.ChunkInfo(at, min(times), max(times) + 1, {}))
+
+
+def _opened_ros1(path: Path) -> Ros1Reader:
+    """Open a bag by its index, else by its chunks."""
+    reader: Ros1Reader = Ros1Reader(path)
+    try:
+        reader.open()
+    except (ros1.ReaderError, AssertionError, struct.error) as error:
+        if "version" in str(error) or "encryption" in str(error):  # not for want of an index
+            raise
+        reader = _UnindexedRos1Reader(path)
+        reader.open()
+    return reader
 
 
 def _close(reader: Any) -> None:

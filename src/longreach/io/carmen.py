@@ -62,6 +62,8 @@ class CarmenLog:
     scans: list[ScanLine] = field(default_factory=list)
     odometry: list[list[float]] = field(default_factory=list)
     others: dict[str, int] = field(default_factory=dict)
+    damaged: list[str] = field(default_factory=list)  # a sentence on each line that cannot be read
+    cut: list[str] = field(default_factory=list)  # one that says so where the file is
     parameters: dict[str, float] = field(default_factory=dict)  # of where the lasers are
 
 
@@ -69,31 +71,54 @@ def read_log(path: Path, progress: Callable[[float], None] | None = None) -> Car
     """Read all lines of a log.
 
     Raises:
-        RecordingError: a line is cut short or holds what is no number; there is neither a scan nor odometry.
+        RecordingError: there is neither a scan nor odometry.
     """
     log = CarmenLog()
-    for line, text in text_lines(path):
+    for line, text in text_lines(path, log.cut.append):
         words = text.split()
-        if words[0] in _AFTER_RANGES:
-            log.scans.append(_scan_line(path, line, words))
-        elif words[0] == "ODOM":
-            if len(words) < _ODOM_WORDS:
-                raise RecordingError(f"{path}, line {line}: an ODOM line has x y θ tv rv accel and a time; it is cut.")
-            row = numbers(path, line, [*words[1:4], words[7]])
-            log.odometry.append(row)
-        else:
-            log.others[words[0]] = log.others.get(words[0], 0) + 1
-            if words[0] == "PARAM" and len(words) > 2 and words[1].startswith((_FRONT, _REAR)) and "offset" in words[1]:
-                log.parameters[words[1]] = numbers(path, line, [words[2]])[0]
+        try:
+            _take_line(log, path, line, words)
+        except RecordingError as error:
+            log.damaged.append(str(error))
         if progress is not None and line % 1000 == 0:
             progress(line)
-    if not log.scans and not log.odometry:
-        readable = [word[:20] for word in sorted(log.others) if word.isascii() and word.isprintable()]
-        found = ", ".join(readable[:5]) or ("nothing that is text" if log.others else "no lines at all")
-        raise RecordingError(
-            f"{path} holds no FLASER, ROBOTLASER, RAWLASER or ODOM lines, so it is no CARMEN log; it has {found}."
-        )
-    return log
+    if log.scans or log.odometry:
+        return log
+    if damage := [*log.damaged, *log.cut]:
+        raise RecordingError(damage[0])
+    readable = [word[:20] for word in sorted(log.others) if word.isascii() and word.isprintable()]
+    found = ", ".join(readable[:5]) or ("nothing that is text" if log.others else "no lines at all")
+    raise RecordingError(
+        f"{path} holds no FLASER, ROBOTLASER, RAWLASER or ODOM lines, so it is no CARMEN log; it has {found}."
+    )
+
+
+def _take_line(log: CarmenLog, path: Path, line: int, words: list[str]) -> None:
+    """Add what a line holds to a log.
+
+    Raises:
+        RecordingError: it is cut short or holds what is no number.
+    """
+    if words[0] in _AFTER_RANGES:
+        log.scans.append(_scan_line(path, line, words))
+    elif words[0] == "ODOM":
+        if len(words) < _ODOM_WORDS:
+            raise RecordingError(f"{path}, line {line}: an ODOM line has x y θ tv rv accel and a time; it is cut.")
+        log.odometry.append(numbers(path, line, [*words[1:4], words[7]]))
+    else:
+        log.others[words[0]] = log.others.get(words[0], 0) + 1
+        if words[0] == "PARAM" and len(words) > 2 and words[1].startswith((_FRONT, _REAR)) and "offset" in words[1]:
+            log.parameters[words[1]] = numbers(path, line, [words[2]])[0]
+
+
+def _damage(log: CarmenLog) -> list[str]:
+    """Say what of a log cannot be read."""
+    said = [f"{sentence} It was read up to there." for sentence in log.cut]
+    if log.damaged:
+        count = len(log.damaged)
+        counted = "A line was left out" if count == 1 else f"{count} lines were left out; the first"
+        said.append(f"{counted}: {log.damaged[0]}")
+    return said
 
 
 def _scan_line(path: Path, line: int, words: list[str]) -> ScanLine:
@@ -128,7 +153,7 @@ def read_carmen(path: Path, robot: RobotDescription, progress: Callable[[float],
     only where no scan has one. Ranges that read the log's largest value again and again are its mark for no return.
     """
     log = read_log(path, progress)
-    remarks: list[str] = []
+    remarks = _damage(log)
     lines = _of_one_scanner(log, remarks)
     rows = np.array([[*scan.poses[3:], scan.stamp] for scan in lines if scan.poses] or log.odometry).reshape(-1, 4)
     has_poses = bool(lines) and bool(lines[0].poses)
@@ -258,7 +283,10 @@ def read_corrected_poses(path: Path, recording: Recording | None = None) -> Pose
     Such logs count their stamps from anywhere, with few digits. With the recording that they were made from, their
     scans are found in it by their ranges, and take its stamps; those that are not found are left out.
     """
-    lines = [scan for scan in _of_one_scanner(read_log(path), []) if scan.poses]
+    log = read_log(path)
+    if damage := _damage(log):
+        raise RecordingError(f"A reference has to be whole. {damage[0]}")
+    lines = [scan for scan in _of_one_scanner(log, []) if scan.poses]
     if not lines:
         raise RecordingError(f"{path} has no FLASER lines, whose poses are the reference in a corrected log.")
     poses = np.array([scan.poses[:3] for scan in lines])
@@ -287,7 +315,8 @@ def inspect(path: Path) -> RecordingInfo:
         stamps["ODOM"] = [row[-1] for row in log.odometry]
     both = np.concatenate(list(stamps.values()))
     beams = sorted({len(scan.ranges) for scan in log.scans})
-    remarks = [f"Scans have {' or '.join(str(n) for n in beams)} beams."] if beams else []
+    remarks = _damage(log)
+    remarks += [f"Scans have {' or '.join(str(n) for n in beams)} beams."] if beams else []
     remarks += [f"{count} {kind} lines are not used." for kind, count in sorted(log.others.items())]
     return RecordingInfo(
         format="CARMEN log",

@@ -4,7 +4,7 @@ import bz2
 import gzip
 import lzma
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -17,8 +17,10 @@ def _open(path: Path) -> TextIOWrapper:
     return _OPENERS.get(path.suffix, open)(path, "rt", encoding="utf-8-sig", errors="replace")  # type: ignore[operator]
 
 
-def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+def text_lines(path: Path, cut: Callable[[str], None] | None = None) -> Iterator[tuple[int, str]]:
     """Yield the lines that are neither empty nor a comment (#), with their numbers, from 1.
+
+    A file whose compressed data end too early is read as far as they go where there is a `cut`, which is called with a sentence on it.
 
     Raises:
         RecordingError: the file is not there, cannot be read, or its compression is broken or cut short.
@@ -31,7 +33,10 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     except FileNotFoundError as error:
         raise RecordingError(f"{path} is not there.") from error
     except EOFError as error:
-        raise RecordingError(f"{path} is cut short: its compressed data end too early.") from error
+        said = f"{path} is cut short: its compressed data end too early."
+        if cut is None:
+            raise RecordingError(said) from error
+        cut(said)
     except (gzip.BadGzipFile, zlib.error, lzma.LZMAError) as error:
         raise RecordingError(f"{path} is not what its name says: {error}.") from error
     except OSError as error:
