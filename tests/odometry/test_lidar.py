@@ -455,6 +455,38 @@ def test_a_match_that_moves_the_base_faster_than_a_base_moves_is_none(moved_by, 
     np.testing.assert_allclose(after.pose, 0.0, atol=1e-12)  # the prior: it has not moved so far
 
 
+def test_after_a_scan_without_a_match_the_base_may_have_moved_in_all_the_time_since(rng):
+    turned = np.array([0.0, 0.0, 1.2])
+    poses = [*along(np.zeros(3), 4), se2.compose(np.array([-1.0, -0.5, 0.2]), turned)]
+    state = init(LidarConfig(), NOWHERE)
+    for i, pose in enumerate(poses[:4]):
+        state, _ = step(state, scan_at(pose, 0.1 * i, rng=rng))
+    odd = box(0.0, 0.0, 1.0, 0.7, 0.4)
+    state, match = step(state, scan_at(np.zeros(3), 3.4, walls=odd, rng=rng), np.zeros(3))
+    assert match.measurement is None
+    state, match = step(state, scan_at(poses[-1], 3.5, rng=rng), 0.9 * turned)
+    assert match.measurement is not None
+    assert np.abs(se2.difference(se2.compose(poses[0], state.pose), poses[-1])).max() < 0.01
+
+
+@pytest.mark.parametrize(("share", "wide"), [(0.35, True), (0.2, False)])
+def test_where_wheels_and_the_last_motion_give_two_fits_the_better_one_is_as_wrong_as_they_are_apart(share, wide, rng):
+    class Ambiguous(PointToLine):
+        def match(self, features, reference, geometry, prior):
+            fit = super().match(features, reference, geometry, prior._replace(pose=np.zeros(3)))
+            by_wheels = abs(prior.pose[2]) > 0.4
+            return replace(fit, pose=np.array(prior.pose), inlier_ratio=share if by_wheels else 0.45)
+
+    first, second = scans_along(along(np.zeros(3), 1), rng=rng)
+    state, _ = step(init(LidarConfig(), NOWHERE), first)
+    matcher = state.matcher
+    ambiguous = Ambiguous(matcher.settings, matcher.distance, matcher.turned, matcher.overlap)
+    _, match = step(state._replace(matcher=ambiguous), second, np.array([0.0, 0.0, 0.5]))
+    np.testing.assert_allclose(match.measurement.pose, 0.0, atol=1e-9)
+    deviation = np.sqrt(match.measurement.covariance[2, 2])
+    assert deviation == pytest.approx(0.5, abs=0.01) if wide else deviation < 0.01
+
+
 def test_with_wheels_along_a_corridor_the_walls_show_more_of_the_heading_and_across(rng):
     """Without them the base may be anywhere along it, and surfaces whose directions are wrong make that an error."""
     poses = along((0.05, 0.0, 0.0), 100, (0.0, 0.0, 0.0))

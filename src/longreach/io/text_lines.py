@@ -20,7 +20,7 @@ def _open(path: Path) -> TextIOWrapper:
 def text_lines(path: Path, cut: Callable[[str], None] | None = None) -> Iterator[tuple[int, str]]:
     """Yield the lines that are neither empty nor a comment (#), with their numbers, from 1.
 
-    A file whose compressed data end too early is read as far as they go where there is a `cut`, which is called with a sentence on it.
+    A file whose compressed data end too early is read as far as they go where there is a `cut`, which gets a sentence.
 
     Raises:
         RecordingError: the file is not there, cannot be read, or its compression is broken or cut short.

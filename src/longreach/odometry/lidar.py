@@ -174,10 +174,10 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
         goes_on = _prior(state, going_on, scan.stamp, period, False)
         other = state.matcher.match(features, state.reference, geometry, goes_on)
         if not isinstance(other, str) and (isinstance(fit, str) or other.inlier_ratio > fit.inlier_ratio):
-            fit = other
+            fit = other if isinstance(fit, str) else _either(other, fit)
     if not isinstance(fit, str):
         moved = se2.between(state.pose, fit.pose)
-        if not _is_too_fast(moved, period):
+        if not _is_too_fast(moved, scan.stamp - state.observed if state.variance.any() else period):
             if sweep.part > 0.0:
                 state, fit = _with_sweep(state, before_sweep, fit, se2.log(moved), period)
             return _matched(state, scan, features, geometry, fit, moved)
@@ -194,6 +194,14 @@ def _is_too_fast(moved: np.ndarray, period: float) -> bool:
     """Whether a motion (3,) in a period [s] is beyond what any indoor base does; stamps may be off by a period."""
     most = max(2.0 * period, _LAG)
     return bool(math.hypot(moved[0], moved[1]) > _FASTEST[0] * most or abs(moved[2]) > _FASTEST[1] * most)
+
+
+def _either(better: Fit, other: Fit) -> Fit:
+    """Return the better of two fits, as wrong as they are apart where half as many returns agree with the other one."""
+    if other.inlier_ratio < 0.5 * better.inlier_ratio:
+        return better
+    apart = np.outer(*2 * [se2.difference(better.pose, other.pose)])
+    return replace(better, covariance=better.covariance + apart, shared=better.shared + apart)
 
 
 def _geometry(state: LidarState, scan: LaserScan) -> tuple[LidarState, ScanGeometry]:
