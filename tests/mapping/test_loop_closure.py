@@ -1,11 +1,14 @@
 """The search for a place: branch and bound, its window, and a second peak."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from room_scans import features_of, map_of, scan_at
 
 from longreach.geometry import se2
 from longreach.mapping import loop_closure
+from longreach.mapping.keyframes import Keyframe, place_of
 from longreach.mapping.loop_closure import CHI2, Evidence, Window, gate_of, sampled
 from longreach.sim.room import box
 
@@ -78,6 +81,33 @@ def test_beams_through_a_wall_count_and_those_along_it_do_not(rng):
     assert loop_closure.seen_through(inside, place, np.array([0.5, 0.5, 0.0])) < 0.02
     large = features_of(scan_at((0.0, 0.0, 0.0), walls=box(0.0, 0.0, 12.0, 8.0, 0.0), rng=rng))
     assert loop_closure.seen_through(large, place, np.zeros(3)) > 0.9
+
+
+def keyframe(pose, walls, rng, people):
+    """A keyframe of a room, where so many groups of beams end before its walls, elsewhere each time."""
+    scan = scan_at(pose, walls=walls, rng=rng)
+    ranges = np.array(scan.ranges)
+    for first in rng.integers(0, len(ranges) - 20, people):
+        ranges[first : first + 20] = rng.uniform(0.4, 0.7) * ranges[first : first + 20].min()
+    scan, zero = replace(scan, ranges=ranges), np.zeros((3, 3))
+    return Keyframe(scan, np.array(pose), np.zeros(3), zero, zero, 0.0, features_of(scan))
+
+
+@pytest.mark.parametrize("people", [0, 5])
+def test_people_who_walk_about_are_no_surfaces_that_a_place_must_have_and_other_walls_are(people, rng):
+    walls = box(0.0, 0.0, 6.0, 4.0, 0.0)
+    poses = np.array([(0.0, 0.0, 0.0), (0.5, 0.5, 0.3), (-0.5, 0.5, 0.1), (0.3, -0.5, 1.0)])
+    place = place_of([keyframe(pose, walls, rng, people) for pose in poses], np.arange(4), poses)
+    assert place.changing < 0.02 if people == 0 else place.changing > 0.1
+    through = [
+        loop_closure.looked_through(
+            keyframe(pose, walls, rng, people).features, place, se2.between(poses[-1], np.array(pose))
+        )
+        for pose in [(0.2, 0.2, 0.0), (0.4, -0.2, 1.0), (-0.3, 0.1, 2.0)]
+    ]
+    assert max(through) < loop_closure.THROUGH
+    larger = keyframe((0.0, 0.0, 0.0), box(0.0, 0.0, 12.0, 8.0, 0.0), rng, people)
+    assert loop_closure.looked_through(larger.features, place, se2.inverse(poses[-1])) > 2 * loop_closure.THROUGH
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from longreach.geometry import se2
+from longreach.mapping import _loop_closure_kernels as kernels
 from longreach.mapping.consistency import Edge, reversed_edge
 from longreach.mapping.pose_graph import Edges, adjoints
 from longreach.measurement import LaserScan
@@ -32,6 +33,7 @@ _SHORTEST = 0.01  # [m] of way that drift is taken for at least
 LOCAL = 0.1
 BETWEEN_SESSIONS = 1000.0  # [m] of way, so that none of one is taken for a neighbour of another
 _MOST = 20  # keyframes on either side in a place
+_BEAMS = 200  # that are followed through a local map
 _DEFAULTS = LidarConfig()
 MATCHER = PointToLine(_DEFAULTS.fit, _DEFAULTS.distance, _DEFAULTS.turned, _DEFAULTS.overlap)
 # Of the residuals' scatter: an error that all beams which see one surface have in common. From another side a surface
@@ -102,6 +104,12 @@ class Place:
         return local_map.merged([local_map.Keyframe(at, k.surfaces.elements, k.surfaces.noise) for k, at in seen])
 
     @cached_property
+    def changing(self) -> float:
+        """The share of the beams of all that pass through a surface of another one, or of their own."""
+        seen = zip(self.keyframes, self.poses, strict=True)
+        return float(np.mean([seen_through(k.features, self.local_map, at) for k, at in seen]))
+
+    @cached_property
     def joined(self) -> Features:
         """The returns of all, as one scan; beams keep their directions and lengths."""
         parts = []
@@ -114,6 +122,12 @@ class Place:
         values = np.ascontiguousarray(np.concatenate(parts, axis=1))
         noise, reach = (median(getattr(k.features, name) for k in self.keyframes) for name in ("noise", "reach"))
         return Features(values, values.shape[1], noise, reach)
+
+
+def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
+    """Return the share of a scan's beams that pass through a surface of a local map, in which the base is at a pose."""
+    stride = max(scan.count // _BEAMS, 1)
+    return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
 
 
 def regions_of(keyframes: Sequence[Keyframe], poses: Float[np.ndarray, "n 3"], reach: float) -> tuple[LocalMap, ...]:

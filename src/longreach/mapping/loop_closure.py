@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from longreach.geometry import se2
 from longreach.mapping import _loop_closure_kernels as kernels
-from longreach.mapping.keyframes import Place, matcher
+from longreach.mapping.keyframes import Place, matcher, seen_through
 from longreach.odometry import _local_map_kernels as map_kernels
 from longreach.odometry.local_map import LocalMap
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
@@ -32,14 +32,13 @@ REGION = 30.0  # [m] from the middle of a region to its edge, of a map that is s
 _ANYWHERE = np.diag([(REGION / WINDOW) ** 2, (REGION / WINDOW) ** 2, 10.0**2])
 _NEAR_ENOUGH = 15.0  # [m] to points that take part in that: further ones ask for finer turns
 _CLEAR = 0.5  # agreement of a peak on a whole map
-_BEAMS = 200  # that are followed through a map
 _LEAST = 0.3  # agreement of a peak: clutter and rounding to cells cost half of it
 _ROUNDING = np.diag([_CELL**2, _CELL**2, 0.02**2])  # of the search, which the window grows by
 NEAR = np.array([0.3, 0.3, 0.1])  # [m, m, rad] deviations of a fit's prior: wide against a cell
 # Gates on a fit. Of 1276 matches on four real logs that were right 90 % pass; see benchmarks/mapping.py.
 _OVERLAP = 0.4  # share of the returns that see a surface of the place, at least
 _AGREES = 0.55  # of these, the share that agrees but for noise, at least
-THROUGH = 0.2  # share of beams that pass through a surface of the other side, at most
+THROUGH = 0.2  # share of beams that pass through a surface of the other side, at most, beyond that of its own beams
 _UNIQUE = 0.9  # a second peak above this part of the first: a place looks like another one
 
 
@@ -144,10 +143,12 @@ def fitted(
     return matcher(joined).fit(scan, to, Prior(pose, sigma, free, free), pose)
 
 
-def seen_through(scan: Features, to: LocalMap, pose: np.ndarray) -> float:
-    """Return the share of a scan's beams that pass through a surface of a local map, in which the base is at a pose."""
-    stride = max(scan.count // _BEAMS, 1)
-    return float(kernels.seen_through(scan.values, scan.count, stride, pose, to.surfaces))
+def looked_through(scan: Features, place: Place, pose: np.ndarray) -> float:
+    """Return the share of a scan's beams that pass through surfaces of a place, in which the base is at a pose.
+
+    The share of the place's own scans that do so does not count: people who walk about are surfaces, too.
+    """
+    return max(seen_through(scan, place.local_map, pose) - place.changing, 0.0)
 
 
 def compared(
@@ -181,8 +182,8 @@ def compared(
     xi = se2.difference(mean, fit.pose)
     evidence = Evidence(
         peak.agreement, 0.0 if second is None else second.agreement, overlap, fit.inlier_ratio / max(overlap, 1e-9),
-        seen_through(scan, place.local_map, fit.pose),
-        seen_through(place.keyframes[-1].features, now.local_map, se2.inverse(fit.pose)),
+        looked_through(scan, place, fit.pose),
+        looked_through(place.keyframes[-1].features, now, se2.inverse(fit.pose)),
         float(xi @ np.linalg.solve(covariance + found, xi)), len(fit.directions), longest,
     )  # fmt: skip
     if not math.isfinite(fit.scale) or not np.isfinite(evidence.chi2):
@@ -218,8 +219,8 @@ def found_anywhere(
     overlap = fit.rows / scan.count
     evidence = Evidence(
         peak.agreement, 0.0, overlap, fit.inlier_ratio / max(overlap, 1e-9),
-        seen_through(scan, place.local_map, fit.pose),
-        seen_through(place.keyframes[-1].features, now.local_map, se2.inverse(fit.pose)),
+        looked_through(scan, place, fit.pose),
+        looked_through(place.keyframes[-1].features, now, se2.inverse(fit.pose)),
         0.0, len(fit.directions), REGION,
     )  # fmt: skip
     if not gate_of(evidence):

@@ -421,7 +421,7 @@ def _is_looked_through(state: MapperState) -> bool:
         if len(old) and near.min() < _REACH:
             place = _place(state, int(old[np.argmin(near)]))
             pose = se2.between(state.poses[place.middle], state.poses[k])
-            through.append(loop_closure.seen_through(state.keyframes[k].features, place.local_map, pose))
+            through.append(loop_closure.looked_through(state.keyframes[k].features, place, pose))
     return bool(through) and float(np.mean(through)) > loop_closure.THROUGH
 
 
