@@ -22,6 +22,7 @@ _AGREE = 6.0  # residuals that agree, about: a point shows less than its scatter
 _SURFACE = 16  # neighbouring rows whose residuals may agree
 _LINE = 32  # rows that share a line at most
 _FEW = 150  # points that the coarse fit takes
+_CURVED = 1.0 / 3.0  # of H, the curvature at least: less than a third of the rows are of what they lie on
 _NEAR = 0.1  # [m]: a prior this sure needs no coarse fit
 
 
@@ -68,24 +69,28 @@ def normal_equations(rows, m, limit, reach, H):
 
 
 @kernel(fastmath=True)
-def find_observable(rows, m, limit, reach, scale, known, H, V, observable):
+def find_observable(rows, m, limit, reach, scale, known, curved, H, V, observable):
     """Fill observable (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
     Errors of the surfaces' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
-    It has to be more than `known` times what it would be from these alone.
+    It has to be more than `known` times what it would be from these alone. Returns that lie near a surface by chance
+    have residuals anywhere up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) a², has to be `curved` of H.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for k in range(3):
         observable[k] = 1.0
         if H[k, k] > 0.2 * largest:
             continue
-        errors = 0.0
+        errors = curvature = 0.0
         for i in range(m):
             e, w = rows[3, i], rows[4, i]
-            w *= max(1.0 - e * e * w * limit, 0.0) * rows[7, i]
-            along = rows[0, i] * V[1, k] - rows[1, i] * V[0, k] + rows[6, i] / reach * V[2, k]
-            errors += w * along * along
-        if H[k, k] < known * errors * scale * scale + 1e-5 * largest:
+            z = e * e * w * limit
+            if z < 1.0:
+                across = rows[0, i] * V[1, k] - rows[1, i] * V[0, k] + rows[6, i] / reach * V[2, k]
+                errors += w * (1.0 - z) * rows[7, i] * across * across
+                along = rows[0, i] * V[0, k] + rows[1, i] * V[1, k] + rows[2, i] / reach * V[2, k]
+                curvature += w * (1.0 - 3.0 * z) * along * along
+        if H[k, k] < known * errors * scale * scale + 1e-5 * largest or curvature < curved * H[k, k]:
             observable[k] = 0.0
 
 
@@ -116,10 +121,11 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
     n, scale, step = 0, 0.0, math.inf
     pull, d, sigma = np.empty((2, 3)), np.empty(3), prior.sigma
     observable[:] = 1.0
-    coarse, wide = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0
+    coarse, wide, curved = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0, -math.inf
     for iteration in range(settings.iterations):
         radius, stride = (settings.coarse, max(m // _FEW, 1)) if coarse else (settings.fine, 1)
         if step < 0.1 * noise and not coarse:
+            curved = _CURVED  # residuals are small from here on, where they are at all
             move_rows(rows, n, d[0], d[1], d[2] / reach)
         else:
             n = surface_rows(points, m, stride, pose, surfaces, radius, settings.grazing, rows)
@@ -132,7 +138,7 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
         limit = 1.0 / (settings.gate * scale) ** 2
         g0, g1, g2 = normal_equations(rows, n, limit, reach, H)
         symmetric_eigen(H, V)
-        find_observable(rows, n, limit, reach, scale, settings.known, H, V, observable)
+        find_observable(rows, n, limit, reach, scale, settings.known, curved, H, V, observable)
         prior_pull(prior, pose, reach, scale, V, pull)
         d[:] = 0.0
         for k in range(3):
@@ -148,7 +154,7 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
         if coarse:
             if step < noise or iteration >= settings.iterations // 3:
                 coarse, step = False, math.inf
-        elif step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
+        elif curved > 0.0 and step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
             break
     return n, scale
 
