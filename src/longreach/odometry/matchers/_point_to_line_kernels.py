@@ -74,7 +74,7 @@ def find_observable(rows, m, limit, reach, scale, known, curved, H, V, observabl
 
     Errors of the surfaces' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
     It has to be more than `known` times what it would be from these alone. Returns that lie near a surface by chance
-    have residuals anywhere up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) a², has to be `curved` of H.
+    have residuals up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) a², has to be `curved` of H.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for k in range(3):
