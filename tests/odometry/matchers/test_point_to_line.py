@@ -20,6 +20,7 @@ from room_scans import (
 
 from longreach.geometry import se2
 from longreach.measurement import LaserScan
+from longreach.odometry import local_map
 from longreach.odometry._local_map_kernels import surface_rows
 from longreach.odometry.matchers import _point_to_line_kernels
 from longreach.odometry.matchers.scan_matcher import Prior
@@ -166,6 +167,33 @@ def test_along_a_corridor_the_pose_stays_at_the_prior_and_across_it_is_right(hea
     assert along_it @ P[:2, :2] @ along_it == pytest.approx(FREE[0], rel=0.1)
     across = np.array([np.sin(heading), np.cos(heading)])
     assert across @ P[:2, :2] @ across < 0.01**2
+
+
+def test_people_in_a_corridor_seldom_seem_to_show_how_far_along_it_the_base_is(rng):
+    def crowded(pose):
+        scan = scan_at(pose, walls=CORRIDOR, rng=rng)
+        ranges = np.where(scan.ranges < 15.0, scan.ranges, np.inf)
+        for first in rng.integers(0, 345, 8):
+            part = slice(first, first + 12)
+            ranges[part] = rng.uniform(0.6, 0.95) * np.minimum(ranges[part], 15.0)
+        return features_of(replace(scan, ranges=ranges))
+
+    truth, blind = np.array([0.1, 0.05, 0.02]), 0
+    for _ in range(60):
+        seen = [(crowded(pose), pose) for pose in along((0.25, 0.0, 0.0), 4, (-0.5, 0.0, 0.0))]
+        to = local_map.merged([local_map.keyframe(scan, pose) for scan, pose in seen])
+        prior = truth + np.array([0.1 * rng.standard_normal(), 0.0, 0.0])
+        fit = POINT_TO_LINE.fit(crowded(truth), to, Prior(prior, np.full(3, 0.1), FREE, FREE), prior)
+        blind += len(fit.directions) == 1
+    assert blind > 0.78 * 60  # two thirds where chance is not minded
+
+
+def test_a_wall_across_a_corridor_shows_how_far_along_it_the_base_is(rng):
+    walls = np.vstack([CORRIDOR, [[4.0, -1.0, 4.0, 1.2]]])
+    to, pose = map_of([(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)], walls=walls, rng=rng), np.array([0.2, 0.05, 0.02])
+    found = match(scan_at(pose, walls=walls, rng=rng), to, pose + np.array([0.05, 0.0, 0.0]))
+    assert len(found.directions) == 0
+    assert abs(found.pose[0] - pose[0]) < 0.01
 
 
 def test_one_round_wall_shows_the_position_and_not_the_heading(rng):

@@ -22,7 +22,7 @@ _AGREE = 6.0  # residuals that agree, about: a point shows less than its scatter
 _SURFACE = 16  # neighbouring rows whose residuals may agree
 _LINE = 32  # rows that share a line at most
 _FEW = 150  # points that the coarse fit takes
-_CURVED = 1.0 / 3.0  # of H, the curvature at least: less than a third of the rows are of what they lie on
+_BY_CHANCE = 0.075  # share of what a scan shows of a direction that lies near a surface by chance, about; ours
 _NEAR = 0.1  # [m]: a prior this sure needs no coarse fit
 
 
@@ -68,20 +68,32 @@ def normal_equations(rows, m, limit, reach, H):
     return -g0, -g1, -g2
 
 
+@kernel
+def shown(points, m, reach, V, k):
+    """Return Σ (n · v)² over the returns of a scan, v column k of V; where a normal is not known, its mean."""
+    total, unknown = 0.0, 0.5 * (V[0, k] * V[0, k] + V[1, k] * V[1, k])
+    for u in range(m):
+        x, y, nx, ny = points[0, u], points[1, u], points[5, u], points[6, u]
+        along = nx * V[0, k] + ny * V[1, k] + (x * ny - y * nx) / reach * V[2, k]
+        total += along * along if points[7, u] < math.inf else unknown
+    return total
+
+
 @kernel(fastmath=True)
-def find_observable(rows, m, limit, reach, scale, known, curved, H, V, observable):
+def find_observable(points, count, rows, m, limit, reach, scale, known, agrees, H, V, observable):
     """Fill observable (3,) with 1 or 0: whether the data determine each direction of the eigenbasis V of H.
 
     Errors of the surfaces' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
-    It has to be more than `known` times what it would be from these alone. Returns that lie near a surface by chance
-    have residuals up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) a², has to be `curved` of H.
+    It has to be more than `known` times what it would be from these alone. Returns lie near a surface by chance, too.
+    Their residuals are anywhere up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) (a · v)², has to be a
+    third of H. And of Σ (n · v)² over all returns of the scan the part `agrees` has to come from those that agree.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
     for k in range(3):
         observable[k] = 1.0
         if H[k, k] > 0.2 * largest:
             continue
-        errors = curvature = 0.0
+        errors = agree = curvature = 0.0
         for i in range(m):
             e, w = rows[3, i], rows[4, i]
             z = e * e * w * limit
@@ -89,8 +101,10 @@ def find_observable(rows, m, limit, reach, scale, known, curved, H, V, observabl
                 across = rows[0, i] * V[1, k] - rows[1, i] * V[0, k] + rows[6, i] / reach * V[2, k]
                 errors += w * (1.0 - z) * rows[7, i] * across * across
                 along = rows[0, i] * V[0, k] + rows[1, i] * V[1, k] + rows[2, i] / reach * V[2, k]
+                agree += (1.0 - z) * along * along
                 curvature += w * (1.0 - 3.0 * z) * along * along
-        if H[k, k] < known * errors * scale * scale + 1e-5 * largest or curvature < curved * H[k, k]:
+        by_chance = agrees > 0.0 and (curvature < H[k, k] / 3.0 or agree < agrees * shown(points, count, reach, V, k))
+        if H[k, k] < known * errors * scale * scale + 1e-5 * largest or by_chance:
             observable[k] = 0.0
 
 
@@ -121,11 +135,11 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
     n, scale, step = 0, 0.0, math.inf
     pull, d, sigma = np.empty((2, 3)), np.empty(3), prior.sigma
     observable[:] = 1.0
-    coarse, wide, curved = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0, -math.inf
+    coarse, wide, agrees = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0, 0.0
     for iteration in range(settings.iterations):
         radius, stride = (settings.coarse, max(m // _FEW, 1)) if coarse else (settings.fine, 1)
         if step < 0.1 * noise and not coarse:
-            curved = _CURVED  # residuals are small from here on, where they are at all
+            agrees = _BY_CHANCE  # from here on residuals are small where they are at all
             move_rows(rows, n, d[0], d[1], d[2] / reach)
         else:
             n = surface_rows(points, m, stride, pose, surfaces, radius, settings.grazing, rows)
@@ -138,7 +152,7 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
         limit = 1.0 / (settings.gate * scale) ** 2
         g0, g1, g2 = normal_equations(rows, n, limit, reach, H)
         symmetric_eigen(H, V)
-        find_observable(rows, n, limit, reach, scale, settings.known, curved, H, V, observable)
+        find_observable(points, m, rows, n, limit, reach, scale, settings.known, agrees, H, V, observable)
         prior_pull(prior, pose, reach, scale, V, pull)
         d[:] = 0.0
         for k in range(3):
@@ -154,7 +168,7 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
         if coarse:
             if step < noise or iteration >= settings.iterations // 3:
                 coarse, step = False, math.inf
-        elif curved > 0.0 and step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
+        elif agrees > 0.0 and step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
             break
     return n, scale
 
