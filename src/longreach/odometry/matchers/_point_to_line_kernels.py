@@ -85,7 +85,7 @@ def find_observable(points, count, rows, m, limit, reach, scale, known, agrees, 
 
     Errors of the surfaces' directions look like information about motion along them: H = Σ w n nᵀ grows by w σ_φ² t tᵀ.
     It has to be more than `known` times what it would be from these alone. Returns lie near a surface by chance, too.
-    Their residuals are anywhere up to the limit, and the cost is flat: its curvature, Σ w (1 - 3z) (a · v)², has to be a
+    Their residuals are anywhere up to the limit, and the cost is flat: its curvature Σ w (1 - 3z) (a · v)² has to be a
     third of H. And of Σ (n · v)² over all returns of the scan the part `agrees` has to come from those that agree.
     """
     largest = max(H[0, 0], max(H[1, 1], H[2, 2]))
