@@ -101,13 +101,25 @@ def test_a_damaged_chunk_of_a_cut_file_is_left_out(tmp_path, chunk):
     assert info.remarks[0].endswith("are read; 1 damaged chunks are left out.")
 
 
-def test_a_chunk_of_a_whole_file_whose_bytes_changed_is_noticed(tmp_path):
+def test_a_damaged_chunk_of_a_whole_file_is_left_out_and_said(tmp_path):
     path = tmp_path / "run.mcap"
     ends = chunks_of(path, 3)
     bad = bytearray(path.read_bytes())
     bad[ends[0] + 300] ^= 1
     path.write_bytes(bad)
-    with pytest.raises(RecordingError, match="a chunk is damaged"):
+    found, info = read_bag(path, ROBOT), inspect(path)
+    assert (len(found.imu), info.topics[0].count) == (8, 8)
+    for remarks in (found.remarks, info.remarks):
+        assert re.fullmatch(r"The chunk that begins at [0-9.]+ is damaged and left out\.", remarks[0])
+
+
+def test_a_file_of_damaged_chunks_alone_is_refused(tmp_path):
+    path = tmp_path / "run.mcap"
+    ends = chunks_of(path, 1)
+    bad = bytearray(path.read_bytes())
+    bad[ends[0] - 300] ^= 1
+    path.write_bytes(bad)
+    with pytest.raises(RecordingError, match="each chunk is damaged"):
         read_bag(path, ROBOT)
 
 

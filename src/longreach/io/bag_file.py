@@ -74,16 +74,21 @@ class _File(NamedTuple):
 
 
 class BagFile:
-    """An open bag. Stamps are in nanoseconds here, as in the file. remarks: a sentence each."""
+    """An open bag. Stamps are in nanoseconds here, as in the file."""
 
     def __init__(self, path: Path, files: Sequence[_File], remarks: tuple[str, ...] = ()) -> None:
-        self.path, self.remarks = path, remarks
+        self.path, self._remarks = path, remarks
         self._readers = [file.reader for file in files]
         self.connections: list[Connection] = [c for reader in self._readers for c in reader.connections if c.msgcount]
         self.start_ns, self.end_ns = 0, 0
         if self.connections:
             self.start_ns = int(min(file.start_ns for file in files))
             self.end_ns = int(max(file.end_ns for file in files)) - 1
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A sentence each; what is damaged may be found only when it is read."""
+        return (*self._remarks, *(said for reader in self._readers for said in getattr(reader, "remarks", ())))
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -208,7 +213,6 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     with ExitStack() as stack:
         with _explained(path):
             files = [_opened(file, stack) for file in paths]
-            remarks += [remark for file in files for remark in getattr(file.reader, "remarks", ())]
             bag = BagFile(path, files, tuple(remarks))
         yield bag
 

@@ -201,7 +201,7 @@ class McapReader:
     """An MCAP of ROS messages, as rosbags' readers are used: by its index, or all whole chunks where it has none.
 
     Each channel's own encodings count, whatever the header's profile is: messages of ROS 1 and ROS 2 are read, others
-    are left out. remarks: a sentence each.
+    are left out. A damaged chunk takes no other one with it.
 
     Raises:
         ValueError: there is no whole chunk.
@@ -209,7 +209,8 @@ class McapReader:
     """
 
     def __init__(self, path: Path) -> None:
-        self.remarks: list[str] = []
+        self._remarks: list[str] = []
+        self._damaged: dict[int, str] = {}  # a sentence on each damaged chunk of a whole file, by its place
         self._file = path.open("rb")
         try:
             self._size = os.fstat(self._file.fileno()).st_size
@@ -279,12 +280,12 @@ class McapReader:
         left_out = f"{damaged} damaged chunks are left out"
         if not self._is_whole:
             end = self.end_time - 1
-            self.remarks.append(
+            self._remarks.append(
                 f"The recording was cut off, its file has no end: the {1e-9 * (end - self.start_time):.1f} s up to its "
                 f"last whole chunk, which ends at {1e-9 * end:.3f}, are read{f'; {left_out}' if damaged else ''}."
             )
         elif damaged:
-            self.remarks.append(f"{left_out}.")
+            self._remarks.append(f"{left_out}.")
 
     def _take(self, part: _Part) -> None:
         """Take note of what is in a part."""
@@ -333,7 +334,7 @@ class McapReader:
             named = ", ".join(others)
             if not connections:
                 raise RecordingError(f"{path} holds no messages of ROS, only {named}; record the topics of ROS.")
-            self.remarks.append(f"Topics whose messages are not of ROS are left out: {named}.")
+            self._remarks.append(f"Topics whose messages are not of ROS are left out: {named}.")
         return connections
 
     def _records(self, part: _Part) -> Iterator[tuple[int, bytes]]:
@@ -351,6 +352,25 @@ class McapReader:
             raise ValueError("a chunk is damaged")
         yield from _split(data)
 
+    def _whole_records(self, part: _Part) -> list[tuple[int, bytes]]:
+        """Return opcode and body of the records of a part, none where it is damaged.
+
+        Raises:
+            ValueError: all are.
+        """
+        try:
+            return list(self._records(part))
+        except Exception as error:  # whatever the decompressors or struct say of it
+            self._damaged[part.start] = f"The chunk that begins at {1e-9 * part.first_ns:.3f} is damaged and left out."
+            if len(self._damaged) == len(self._parts):
+                raise ValueError("each chunk is damaged") from error
+            return []
+
+    @property
+    def remarks(self) -> list[str]:
+        """A sentence each; damaged chunks of a whole file are found when its messages are read."""
+        return [*self._remarks, *self._damaged.values()]
+
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield connection, time of recording [ns] and payload of messages in that time's order."""
         wanted = {connection.id: connection for connection in connections}
@@ -360,7 +380,7 @@ class McapReader:
             while waiting and waiting[0][0] < part.first_ns:
                 stamp, _, channel, payload = heapq.heappop(waiting)
                 yield wanted[channel], stamp, payload
-            for opcode, body in self._records(part):
+            for opcode, body in self._whole_records(part):
                 if opcode == _MESSAGE and (channel := int.from_bytes(body[:2], "little")) in wanted:
                     stamp, number = _STAMPED.unpack_from(body)[2], number + 1
                     heapq.heappush(waiting, (stamp, number, channel, body[_STAMPED.size :]))
