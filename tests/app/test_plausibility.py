@@ -82,6 +82,14 @@ def test_a_clock_that_differs_is_found_from_the_turns(rng, late, source):
     assert found.by == pytest.approx(late, abs=0.03)
 
 
+@pytest.mark.parametrize("lag", [0.5, 1.0, 2.0])
+def test_wheels_on_ice_turn_before_the_base_and_their_clock_is_right(rng, lag):
+    base = motion(rng)
+    wheels = base.heading + lag * np.gradient(base.heading, T)  # the base follows them as a low pass
+    found = fault(three(rng, wheels=base._replace(heading=wheels)), True)
+    assert found is None or found.mend != "shift"
+
+
 def test_a_lag_of_an_eighth_of_a_second_is_usual(rng):
     assert fault(three(rng, wheels=motion(rng, late=0.13)), True) is None
 

@@ -1,6 +1,7 @@
 """Keyframed LIDAR odometry on scans cast in a room, a corridor, and nowhere."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -254,6 +255,26 @@ def test_a_sweep_after_a_blind_spell_is_carried_as_the_prior_says():
     assert first < 2.0 * usual < 0.003  # after so sudden a start
 
 
+@pytest.mark.parametrize("blind", [0, 1])
+def test_what_the_base_turned_in_a_gap_is_no_motion_of_the_sweeps_after_it(blind, rng):
+    twists = [np.array([0.02, 0.0, 0.06])] * 90
+    poses = [np.array([-1.0, 0.0, 0.0])]
+    for twist in twists[:-1]:
+        poses.append(se2.compose(poses[-1], se2.exp(twist)))
+    sweeps = [r + 0.01 * rng.standard_normal(360) for r in sweeps_along(poses, twists)]
+    kept = [i for i in range(90) if not 20 + blind <= i < 65]  # 2.7 rad in 4.5 s
+    ranges = {i: 0.0 * sweeps[i] if i == 20 and blind else sweeps[i] for i in kept}
+    scans = [LaserScan(0.1 * i, ranges[i], -np.pi, 2 * np.pi / 360, time_increment=0.1 / 360) for i in kept]
+    priors = [None, *(se2.between(poses[a], poses[b]) for a, b in pairwise(kept))]
+    matches = lidar_odometry(scans, NOWHERE, priors=priors)
+    assert sum(match.measurement is None for match in matches) == blind
+    errors = np.array(
+        [np.abs(error_of(m, poses)).max() for m in matches if m.measurement is not None and m.stamp > 6.4]
+    )
+    assert errors.max() < 0.02
+    assert np.median(errors) < 0.005
+
+
 def test_sweeps_of_a_base_that_turns_to_and_fro_at_two_radians_a_second_are_far_better_undistorted(rng):
     n, twists = 360, [np.array([0.02, 0.0, 0.2 * np.sin(0.1 * i)]) for i in range(60)]
     poses = [np.array([-1.0, 0.0, 0.0])]
@@ -485,6 +506,27 @@ def test_where_wheels_and_the_last_motion_give_two_fits_the_better_one_is_as_wro
     np.testing.assert_allclose(match.measurement.pose, 0.0, atol=1e-9)
     deviation = np.sqrt(match.measurement.covariance[2, 2])
     assert deviation == pytest.approx(0.5, abs=0.01) if wide else deviation < 0.01
+
+
+def test_motions_stay_relative_to_a_keyframe_that_is_better_than_the_next_ones_for_a_second(rng):
+    class Bumped(PointToLine):
+        def match(self, features, reference, geometry, prior):
+            fit = super().match(features, reference, geometry, prior)
+            return replace(fit, covariance=fit.covariance + np.diag([1e-4, 1e-4, 1e-4]))
+
+    poses = along((0.06, 0.0, 0.02), 40, (-1.2, -0.5, 0.2))
+    state, kept = init(LidarConfig(), NOWHERE), []
+    for i, scan in enumerate(scans_along(poses, rng=rng)):
+        if i == 12:
+            good, matcher = state.keyframe, state.matcher
+            bumped = Bumped(matcher.settings, matcher.distance, matcher.turned, matcher.overlap)
+            state = state._replace(matcher=bumped)
+        state, _ = step(state, scan, np.array([0.06, 0.0, 0.02]))
+        kept.append(state.keyframe)
+    assert len(state.reference.keyframes) > 5
+    held = sum(stamp == good for stamp in kept[12:])
+    assert 5 <= held <= 10
+    assert kept[-1] > good
 
 
 def test_with_wheels_along_a_corridor_the_walls_show_more_of_the_heading_and_across(rng):

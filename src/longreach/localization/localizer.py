@@ -312,14 +312,35 @@ def _scan(state: LocalizerState, before: Estimates, key: Key, scan: LaserScan) -
     if not scan.stamp > before.lidar.stamp:
         return before, _Taken([], [])
     known = np.isfinite(before.lidar.stamp)
-    prior = dead_reckoning.from_wheels(before.steps, before.lidar.stamp, scan.stamp) if known else None
-    odometry, match = lidar.step(before.lidar, scan, prior)
+    prior, found = (
+        dead_reckoning.from_wheels(before.steps, before.lidar.stamp, scan.stamp) if known else None,
+        before.lidar,
+    )
+    if found.variance.any() and before.local is not None:  # the last scan had no match
+        found, prior = _lost_prior(found, predicted(before.settings, before.local, key), prior)
+    odometry, match = lidar.step(found, scan, prior)
     events: list[Event] = [] if match.measurement is None else [match.measurement]
     if match.keyframe:
         events = [Keyframe(match.stamp, "lidar", match.measurement, match.keyframe_noise)]
     now = _with_rhythm(state, before._replace(lidar=odometry), "lidar", scan.stamp)
     now, corrections = _filtered(now, key, events)
-    return now, _Taken(corrections, events, match if known or odometry is before.lidar else None)
+    return now, _Taken(corrections, events, match if known or odometry is found else None)
+
+
+def _lost_prior(
+    odometry: lidar.LidarState, local: Snapshot, prior: np.ndarray | None
+) -> tuple[lidar.LidarState, np.ndarray | None]:
+    """Return LIDAR odometry and its prior as the filter has them: gyro and all know more than wheels after a while."""
+    clone = local.clones.get("lidar")
+    if clone is None or not clone.keyframe or clone.stamp != odometry.keyframe:
+        return odometry, prior
+    i, n = clone.at, len(local.mean)
+    pose = se2.between(local.mean[i : i + 3], local.mean[:3])
+    J = np.zeros((3, n))
+    J[:, :3], J[:, i : i + 3] = np.eye(3), -se2.adjoint(se2.inverse(pose))
+    expected = se2.compose(odometry.keyframe_pose, pose)
+    variance = np.einsum("ij,jk,ik->i", J, local.P, J)
+    return odometry._replace(variance=variance), se2.between(odometry.pose, expected)
 
 
 def _imu(state: LocalizerState, before: Estimates, key: Key, imu: Imu) -> tuple[Estimates, _Taken]:

@@ -40,6 +40,7 @@ _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, a
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
 _FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
+_HELD = 1.0  # [s] for which motions stay relative to a keyframe that is better than newer ones, at most
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
 _FEWEST = 12  # returns of a scan that can start one
 _NONE, _UNKNOWN = np.zeros(3), np.full((3, 3), np.nan)  # variance of a pose that is known; noise of one that is not
@@ -165,8 +166,8 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
     going_on = np.zeros(3) if _is_too_fast(state.motion[0], period) else state.motion[0]  # after a gap
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
-    if prior is not None:
-        state = state._replace(predicted=_mean(before, twist, period))
+    if prior is not None and period < _RECENT:
+        state = state._replace(predicted=_mean(before, twist, period) if state.motion.any() else twist)
     expected = _prior(state, twist, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
     fit = state.matcher.match(features, state.reference, geometry, expected)
     poor = isinstance(fit, str) or fit.inlier_ratio < _POOR
@@ -183,7 +184,7 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
             return _matched(state, scan, features, geometry, fit, moved)
         fit = "it would have moved the base faster than a base moves"
     state, match = _failed(state._replace(stamp=scan.stamp), features, expected, fit)
-    if prior is not None:  # it alone shows how the motion goes on
+    if prior is not None and period < _RECENT:  # it alone shows how the motion goes on
         state = state._replace(motion=np.array([twist, state.motion[1] + state.predicted - before]))
     elif match.keyframe:
         state = state._replace(motion=np.zeros((2, 3)))
@@ -222,12 +223,17 @@ def _features(
     off by, one time after the other, shows how the motion lags.
     """
     share, motion = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0, np.zeros(3)
-    if share > 0.0:
+    if period >= _RECENT:  # the motion of a gap says little of that in a sweep, and nothing of how it lags
+        motion = np.zeros(3) if prior is None else se2.log(prior)
+    elif share > 0.0 and not state.motion.any() and prior is not None:
+        motion = se2.log(prior)
+    elif share > 0.0:
         motion = state.motion[1]
         if prior is not None:
             motion = motion + _mean(state.predicted, se2.log(prior), period) - state.predicted
         motion = motion + state.sweep.lag
-    sweep = state.sweep._replace(part=share * len(scan.ranges), motion=motion)
+    part = share * len(scan.ranges) if period < _RECENT else 0.0
+    sweep = state.sweep._replace(part=part, motion=motion)
     motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
     return state.matcher.features(scan, geometry, motion, share), sweep
 
@@ -288,9 +294,10 @@ def _matched(
     keyframe = state.keyframe_pose, _UNKNOWN if noise is None else noise
     found, last = (
         (fit.pose, fit.covariance, fit.shared),
-        (moved, state.motion[1], (scan.stamp - state.stamp) / _LASTING),
+        (moved, state.motion[1] if state.motion.any() else se2.log(moved), (scan.stamp - state.stamp) / _LASTING),
     )
     pose, covariance, shared, motion = _lidar_kernels.relate(*keyframe, *found, *last)
+    motion = motion if scan.stamp - state.stamp < _RECENT else np.zeros((2, 3))  # of a gap: no twist from scan to scan
     measurement = RelativePoseMeasurement(state.keyframe, scan.stamp, pose, covariance, "lidar", None, shared)
     blind = len(fit.directions) > 0
     observed = state.observed if blind else scan.stamp
@@ -299,11 +306,19 @@ def _matched(
     if is_keyframe or (blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance):
         reference, pose = matcher.extended(state.reference, features, fit)
         is_keyframe, noise = True, _noise_in_map(fit) if np.array_equal(pose, fit.pose) else None
-        state = state._replace(keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose)
+        if _is_worse(noise, keyframe[1]) and scan.stamp - state.keyframe < _HELD:
+            is_keyframe = False
+        else:
+            state = state._replace(keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose)
     else:
         reference = matcher.followed(state.reference, features, fit)
     match = ScanMatch(scan.stamp, measurement, "", fit.rows, fit.directions, is_keyframe, moved, noise)
     return state._replace(reference=reference), match
+
+
+def _is_worse(noise: np.ndarray | None, before: np.ndarray) -> bool:
+    """Whether a keyframe is placed with far more noise than the one before: a base that is bumped bends its sweeps."""
+    return noise is not None and bool((np.diag(noise) > 4.0 * np.diag(before)).any())
 
 
 def _noise_in_map(fit: Fit) -> np.ndarray:

@@ -144,6 +144,19 @@ def test_a_gyro_whose_bias_jumps_does_not_turn_the_estimate(rng):
     assert state.belief.gyro_bias > 0.0
 
 
+@pytest.mark.parametrize("felt", [True, False])
+def test_a_bump_that_the_accelerometer_feels_turns_the_base_and_a_gyro_that_errs_does_not(felt):
+    state = init(0.0, np.zeros(3), None, CONFIG)
+    for i in range(100):
+        bumped = i >= 80
+        push = np.array([15.0, -10.0]) * (felt and 80 <= i < 84)
+        imu = PlanarImu(0.01 * i, 2.0 * bumped, push, np.zeros(2), 1e-4, 0.25 * np.eye(2))
+        state, _ = step(state, imu)
+        if i == 83:
+            turns = state.belief.twist[2]
+    assert turns > 1.8 if felt else turns < 1.0
+
+
 @pytest.mark.parametrize("source", ["wheels", "scans"])
 def test_nan_is_refused_and_the_estimate_goes_on(rng, source):
     def broken(i, z):

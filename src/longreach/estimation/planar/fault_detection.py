@@ -15,7 +15,7 @@ import numpy as np
 from longreach.estimation.planar import _ekf_kernels as kernels
 from longreach.estimation.planar import ekf
 from longreach.estimation.planar.config import FilterConfig
-from longreach.estimation.planar.measurement_models import Measurement, Observation
+from longreach.estimation.planar.measurement_models import Measurement, Observation, PlanarImu
 from longreach.estimation.planar.noise_adaptation import NOMINAL, inflated, process_noise
 from longreach.estimation.planar.state import Snapshot, Streak
 from longreach.geometry import se2
@@ -27,6 +27,7 @@ _LASTING = 10.0  # of _SLIPS, at most, that goes on: more is a bump, or a match 
 # [m², m², rad²]: 5 mm, 0.5°. Wheels also stand still while the base moves. With the largest of _SLIPS it is 16 cm, 16°:
 # more, and a burst of wrong matches would carry the estimate off.
 _SMALLEST = np.diag([2.5e-5, 2.5e-5, 7.5e-5])
+_BUMP = 0.5  # [s] that a bump lasts
 _EYE = np.eye(3)
 # Of that and the variance of the steps since another source observed the pose:
 _SLIPS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
@@ -69,6 +70,25 @@ def faults_found(
     for wheels in () if fix else now.steps or ("",):
         P = widened(P, moving(now, wheels, source, at), np.outer(xi, xi))
     return now._replace(P=P, streaks=streaks)
+
+
+def bump_found(
+    config: FilterConfig, now: Snapshot, measurement: PlanarImu, observation: Observation, judged: ekf.Corrected
+) -> Snapshot:
+    """Where gyro and accelerometer are beyond their gates at once, let the base turn at any rate: it has been bumped.
+
+    A gyro that errs is not felt by the accelerometer. For a while after that the gyro is believed alone.
+    """
+    (r, _, _, _), S, source = observation, judged.S, measurement.source
+    before = now.streaks.get(source)
+    if len(r) == 3 and kernels.squared_norm(S[1:, 1:], r[1:]) > config.gates[1]:
+        before = Streak(1, np.array([measurement.stamp, 0.0, 0.0]))
+        now = now._replace(streaks={**now.streaks, source: before})
+    if before is None or measurement.stamp - before.xi[0] > _BUMP or not r[0] * r[0] > config.gates[0] * S[0, 0]:
+        return now
+    P = now.P.copy()
+    P[5, 5] += r[0] * r[0]
+    return now._replace(P=ekf.frozen(P))
 
 
 def _slipped(config: FilterConfig, now: Snapshot, wheels: str, s: float) -> Snapshot:

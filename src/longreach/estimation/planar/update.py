@@ -22,8 +22,8 @@ import numpy as np
 from longreach.estimation.planar import _measurement_kernels as kernels
 from longreach.estimation.planar import ekf, motion_model
 from longreach.estimation.planar.config import FilterConfig
-from longreach.estimation.planar.fault_detection import bias_jumps_found, faults_found, moving, widened
-from longreach.estimation.planar.measurement_models import Measurement, Observation, Relation, observe
+from longreach.estimation.planar.fault_detection import bias_jumps_found, bump_found, faults_found, moving, widened
+from longreach.estimation.planar.measurement_models import Measurement, Observation, PlanarImu, Relation, observe
 from longreach.estimation.planar.noise_adaptation import NOMINAL, Noise, corrected, process_noise, scaled, way
 from longreach.estimation.planar.state import Clone, Correction, Event, Keyframe, Link, PoseClone, Snapshot, Tally
 from longreach.estimation.replay_buffer import Key
@@ -280,7 +280,9 @@ def _corrected(
     gate, inflate = config.gates[k - 1], config.gate_mode == "inflate" or tally.streak >= config.gate_patience
     gain: Literal["all", "local", "fix"] = "all" if now.links is not None else "fix" if fix else "local"
     mean, P, nis, scale, S = judged = ekf.correct(now.mean, before, r, H, R, gate, False, gain)
-    if nis > gate or source in now.streaks:
+    if isinstance(measurement, PlanarImu):
+        now = bump_found(config, now, measurement, observation, judged) if gate < nis < math.inf else now
+    elif nis > gate or source in now.streaks:
         now = faults_found(config, now, measurement, observation, judged, gate, at)
     if k == 3 and clone is not None and source not in now.steps and gate < math.inf:
         now = bias_jumps_found(config, now, r[2], S[2, 2] if now.P is before else float(H[2] @ now.P @ H[2] + R[2, 2]))
