@@ -39,6 +39,7 @@ _LAGGING = 0.2  # [s] over which it is learned how far twists lag behind in swee
 _LAG = 0.3  # [s] that wheels may be behind a scan: a period of a slow logger, and then some
 _POOR = 0.5  # share of the returns that agree, below which the last motion is tried as a prior, too
 _RECENT = 0.5  # [s] over which the last motion predicts the next, at most
+_GAP = 1.0  # [s] from which on the motion since the last scan is not that from scan to scan
 _FASTEST = (3.0, 3.0)  # [m/s, rad/s] that no indoor base exceeds
 _HELD = 1.0  # [s] for which motions stay relative to a keyframe that is better than newer ones, at most
 _LOST = 2  # scans in a row without a match, the last of which starts a reference anew
@@ -166,7 +167,7 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
     going_on = np.zeros(3) if _is_too_fast(state.motion[0], period) else state.motion[0]  # after a gap
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
-    if prior is not None and period < _RECENT:
+    if prior is not None and (period < _GAP or scan.time_increment == 0.0):
         state = state._replace(predicted=_mean(before, twist, period) if state.motion.any() else twist)
     expected = _prior(state, twist, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
     fit = state.matcher.match(features, state.reference, geometry, expected)
@@ -184,7 +185,7 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
             return _matched(state, scan, features, geometry, fit, moved)
         fit = "it would have moved the base faster than a base moves"
     state, match = _failed(state._replace(stamp=scan.stamp), features, expected, fit)
-    if prior is not None and period < _RECENT:  # it alone shows how the motion goes on
+    if prior is not None and (period < _GAP or scan.time_increment == 0.0):  # it alone shows how the motion goes on
         state = state._replace(motion=np.array([twist, state.motion[1] + state.predicted - before]))
     elif match.keyframe:
         state = state._replace(motion=np.zeros((2, 3)))
@@ -223,7 +224,7 @@ def _features(
     off by, one time after the other, shows how the motion lags.
     """
     share, motion = share_of_a_beam(scan, period) if math.isfinite(period) else 0.0, np.zeros(3)
-    if period >= _RECENT:  # the motion of a gap says little of that in a sweep, and nothing of how it lags
+    if period >= _GAP:  # the motion of a gap says little of that in a sweep, and nothing of how it lags
         motion = np.zeros(3) if prior is None else se2.log(prior)
     elif share > 0.0 and not state.motion.any() and prior is not None:
         motion = se2.log(prior)
@@ -232,7 +233,7 @@ def _features(
         if prior is not None:
             motion = motion + _mean(state.predicted, se2.log(prior), period) - state.predicted
         motion = motion + state.sweep.lag
-    part = share * len(scan.ranges) if period < _RECENT else 0.0
+    part = share * len(scan.ranges) if period < _GAP else 0.0
     sweep = state.sweep._replace(part=part, motion=motion)
     motion = se2.adjoint(se2.inverse(geometry.pose_base_laser)) @ motion
     return state.matcher.features(scan, geometry, motion, share), sweep
@@ -297,7 +298,8 @@ def _matched(
         (moved, state.motion[1] if state.motion.any() else se2.log(moved), (scan.stamp - state.stamp) / _LASTING),
     )
     pose, covariance, shared, motion = _lidar_kernels.relate(*keyframe, *found, *last)
-    motion = motion if scan.stamp - state.stamp < _RECENT else np.zeros((2, 3))  # of a gap: no twist from scan to scan
+    if scan.time_increment > 0.0 and scan.stamp - state.stamp >= _GAP:
+        motion = np.zeros((2, 3))  # by the twist of a gap no sweep is undistorted
     measurement = RelativePoseMeasurement(state.keyframe, scan.stamp, pose, covariance, "lidar", None, shared)
     blind = len(fit.directions) > 0
     observed = state.observed if blind else scan.stamp
@@ -306,7 +308,7 @@ def _matched(
     if is_keyframe or (blind and config.speed * (scan.stamp - state.keyframe) > 2.0 * config.distance):
         reference, pose = matcher.extended(state.reference, features, fit)
         is_keyframe, noise = True, _noise_in_map(fit) if np.array_equal(pose, fit.pose) else None
-        if _is_worse(noise, keyframe[1]) and scan.stamp - state.keyframe < _HELD:
+        if _is_noisier(noise, keyframe[1]) and scan.stamp - state.keyframe < _HELD:
             is_keyframe = False
         else:
             state = state._replace(keyframe=scan.stamp, keyframe_pose=pose, keyframe_noise=noise, pose=pose)
@@ -316,7 +318,7 @@ def _matched(
     return state._replace(reference=reference), match
 
 
-def _is_worse(noise: np.ndarray | None, before: np.ndarray) -> bool:
+def _is_noisier(noise: np.ndarray | None, before: np.ndarray) -> bool:
     """Whether a keyframe is placed with far more noise than the one before: a base that is bumped bends its sweeps."""
     return noise is not None and bool((np.diag(noise) > 4.0 * np.diag(before)).any())
 
