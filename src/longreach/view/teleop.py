@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,7 @@ class Teleop:
         self._follower = Follower(server)
         self._scan: tuple[Any, Any, Any] = (None, None, None)  # as it came, its points, and where the base was
         self._ways: deque[tuple[float, np.ndarray]] = deque([(client.state.stamp, q[:3])], maxlen=_RECENT)
+        self._remarks = 0  # on the robot's readings, of which a notice was given
         self._unwatch = client.on_state(lambda state: self._ways.append((state.stamp, state.q[:3])))
         self._add_controls()
         if prepare is not None:
@@ -244,6 +245,7 @@ class Teleop:
         with self._server.atomic():
             if count % 5 == 0:  # first, for they say also that the rest could not be drawn
                 self._show_status(state)
+                self._tell_of_readings(state.remarks)
                 self._notices.show(self._banner(state))
                 if self._recorder is not None and self._recorder.error:
                     self._try(self.record)
@@ -286,12 +288,21 @@ class Teleop:
         if self.client.robot.base.stop:
             slow = f"<b>Slowed down</b>: {text_html(state.limited)}" if state.limited else ""
             words += f'<div style="min-height:3em">{slow if state.minds_obstacles else "obstacles not minded"}</div>'
+        if state.remarks:
+            said = "".join(f"<li>{text_html(remark)}</li>" for remark in state.remarks)
+            words += f"<b>Its readings are not as they should be</b><ul>{said}</ul>"
         text = f'<div style="{_STATUS}">{words}</div>'
         if self._status.content != text:
             self._status.content = text
         for button, disabled in ((self._reset, not state.latched), (self._release, not self.client.holds)):
             if button.disabled != disabled:
                 button.disabled = disabled
+
+    def _tell_of_readings(self, remarks: Sequence[str]) -> None:
+        """Give a notice of what is new; the panel shows what lasts."""
+        for remark in remarks[self._remarks :]:
+            self._tell("The robot's readings", remark)
+        self._remarks = len(remarks)
 
     def _banner(self, state: Any) -> tuple[str, str] | None:
         """Return what everybody at the page must know: that the robot is stopped, and what to do."""
