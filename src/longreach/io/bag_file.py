@@ -71,16 +71,21 @@ class _File(NamedTuple):
 
 
 class BagFile:
-    """An open bag. Stamps are in nanoseconds here, as in the file. remarks: a sentence each."""
+    """An open bag. Stamps are in nanoseconds here, as in the file."""
 
     def __init__(self, path: Path, files: Sequence[_File], remarks: tuple[str, ...] = ()) -> None:
-        self.path, self.remarks = path, remarks
+        self.path, self._remarks = path, remarks
         self._readers = [file.reader for file in files]
         self.connections: list[Connection] = [c for reader in self._readers for c in reader.connections if c.msgcount]
         self.start_ns, self.end_ns = 0, 0
         if self.connections:
             self.start_ns = int(min(file.start_ns for file in files))
             self.end_ns = int(max(file.end_ns for file in files)) - 1
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is wrong with the file, as far as it was read, a sentence each."""
+        return (*self._remarks, *(remark for reader in self._readers for remark in getattr(reader, "remarks", ())))
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -205,7 +210,6 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     with ExitStack() as stack:
         with _explained(path):
             files = [_opened(file, stack) for file in paths]
-            remarks += [remark for file in files for remark in getattr(file.reader, "remarks", ())]
             bag = BagFile(path, files, tuple(remarks))
         yield bag
 

@@ -210,6 +210,7 @@ class McapReader:
 
     def __init__(self, path: Path) -> None:
         self.remarks: list[str] = []
+        self._damaged: set[int] = set()  # where chunks start that cannot be read
         self._file = path.open("rb")
         try:
             self._size = os.fstat(self._file.fileno()).st_size
@@ -262,7 +263,7 @@ class McapReader:
     def _scan(self) -> None:
         """Find all parts that are whole."""
         self._clear()
-        at, damaged, taken = len(MCAP_MAGIC), 0, (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
+        at, taken = len(MCAP_MAGIC), (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
         while at + _RECORD.size <= self._size:
             self._file.seek(at)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
@@ -273,18 +274,31 @@ class McapReader:
                 try:
                     self._take(_Part(0, opcode, start, length))
                 except Exception:  # whatever the decompressors, struct or Unicode say of it
-                    damaged += 1
+                    self._leave_out(_Part(0, opcode, start, length))
         if not self._parts and not self._is_whole:
             raise ValueError("no whole chunk is in it")
-        left_out = f"{damaged} damaged chunks are left out"
         if not self._is_whole:
             end = self.end_time - 1
             self.remarks.append(
                 f"The recording was cut off, its file has no end: the {1e-9 * (end - self.start_time):.1f} s up to its "
-                f"last whole chunk, which ends at {1e-9 * end:.3f}, are read{f'; {left_out}' if damaged else ''}."
+                f"last whole chunk, which ends at {1e-9 * end:.3f}, are read."
             )
-        elif damaged:
-            self.remarks.append(f"{left_out}.")
+
+    def _leave_out(self, part: _Part) -> None:
+        """Say once that a part is damaged, and how much is lost as far as the index behind it says."""
+        if part.start in self._damaged:
+            return
+        self._damaged.add(part.start)
+        at, count = part.start + part.length, 0
+        while part.opcode == _CHUNK and at + _RECORD.size < self._size:
+            self._file.seek(at)
+            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            if opcode != _MESSAGE_INDEX or length < 6:
+                break
+            count, at = count + (length - 6) // 16, at + _RECORD.size + length
+        lost = f"the {count} messages in it were" if count else "what is in it was"
+        where = f"{part.length} bytes from byte {part.start} on"
+        self.remarks.append(f"A chunk of the file is damaged ({where}); {lost} left out.")
 
     def _take(self, part: _Part) -> None:
         """Take note of what is in a part."""
@@ -360,10 +374,17 @@ class McapReader:
             while waiting and waiting[0][0] < part.first_ns:
                 stamp, _, channel, payload = heapq.heappop(waiting)
                 yield wanted[channel], stamp, payload
-            for opcode, body in self._records(part):
+            try:
+                records = list(self._records(part))
+            except Exception:  # whatever the decompressors or struct say of it
+                self._leave_out(part)
+                continue
+            for opcode, body in records:
                 if opcode == _MESSAGE and (channel := int.from_bytes(body[:2], "little")) in wanted:
                     stamp, number = _STAMPED.unpack_from(body)[2], number + 1
                     heapq.heappush(waiting, (stamp, number, channel, body[_STAMPED.size :]))
+        if len(self._damaged) == len(self._parts) > 0:
+            raise ValueError("no whole chunk is in it")
         for stamp, _, channel, payload in sorted(waiting):
             yield wanted[channel], stamp, payload
 
