@@ -67,6 +67,7 @@ class Pretender:
         self._q, self._start, self._plan, self.stopped = robot.home.copy(), time.monotonic(), None, 0.0
         self._begun, self.holds, self.covariance = 0.0, False, 1e-4 * np.eye(3)
         self.reason, self.holder, self.why = "The client says stop.", "", ""
+        self.role = "operator"
         self.limited, self.minds_obstacles, self.remarks = "", True, ()
 
     @property

@@ -71,10 +71,8 @@ def connect(
         with explained():
             client = Client(connection, name or _own_name())
         connection.start()
-        if (
-            client._subscriber.wait(lambda: client._subscriber.tick_status and client._subscriber.state, timeout)
-            is None
-        ):
+        heard = client._subscriber
+        if heard.wait(lambda: heard.tick_status and heard.state, timeout) is None:
             raise LiveError(f"The robot at {address} has not said within {timeout:g} s where it is.")
     except BaseException:
         connection.close()
@@ -137,6 +135,11 @@ class Client:
     def age(self) -> float:
         """How long ago the newest state came [s]; the robot is to be taken for silent beyond 0.25 s."""
         return time.monotonic() - self._subscriber.heard
+
+    @property
+    def role(self) -> str:
+        """What the robot takes us for: an operator, or a watcher, who may look and stop only."""
+        return self._connection.role
 
     @property
     def offset(self) -> float:
