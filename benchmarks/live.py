@@ -1,6 +1,7 @@
 """A robot served and watched over loopback: what is lost, how long messages are under way, what it costs.
 
     python benchmarks/live.py --minutes 10              losses, delays, the server's CPU and memory
+    python benchmarks/live.py --page                    how long STOP takes from a page that shows a robot that drives
     python benchmarks/live.py --dual-trajectory         the tool's error through the network beside that in one process
 
 The server is `longreach serve` with a simulated Thing, physics and scans, in a process of its own, as are the clients
@@ -10,10 +11,12 @@ that only watch.
 import argparse
 import atexit
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +29,7 @@ from longreach.app.execution import execute
 from longreach.app.goals import Follow
 from longreach.app.operated import simulated
 from longreach.app.robot_side import Orders
+from longreach.errors import LongreachError
 from longreach.evaluation.execution import tool_metrics
 from longreach.live.realtime_settings import apply_realtime_settings
 from longreach.live.server.serving import tracker_config
@@ -186,6 +190,45 @@ def stop_takes(client):
     return took
 
 
+def page_stops(count):
+    """From the key in a browser to the tick that obeys, while base and arm move [ms] (count,).
+
+    Both clocks are this machine's: the page's own, and the robot's by what the client knows of its offset.
+    """
+    from playwright.sync_api import sync_playwright
+
+    command = [sys.executable, "-u", "-m", "longreach", "view", "--connect", _ADDRESS, "--port", "0"]
+    view, took = subprocess.Popen(command, stdout=subprocess.PIPE, text=True), []
+    atexit.register(view.kill)
+    address = next(found.group() for line in view.stdout if (found := re.search(r"http://[\d.:]+/[\w-]+/", line)))
+    with lr.connect(_ADDRESS) as client, sync_playwright() as started:
+        browser = started.chromium.launch(
+            executable_path="/usr/bin/chromium", args=["--no-sandbox", "--use-gl=swiftshader"]
+        )
+        page = browser.new_page()
+        page.add_init_script("window.addEventListener('keydown', () => { window.pressed = Date.now() }, true)")
+        page.goto(address)
+        page.wait_for_function("document.getElementById('longreach-stop')")
+        time.sleep(5.0)
+        for _ in range(count):
+            until = time.monotonic() + 0.8
+            while time.monotonic() < until:
+                client.velocity(np.full(client.robot.dof - 3, 0.05), np.array([0.1, 0.0, 0.3]))
+                time.sleep(0.02)
+            page.keyboard.press("Space")
+            while not client.state.latched:
+                time.sleep(0.002)
+            pressed = page.evaluate("window.pressed")
+            took.append(1e3 * (client.state.stopped_at - client.offset) - pressed)
+            for _ in range(3):  # the page repeats what it has not seen obeyed yet
+                time.sleep(1.0)
+                with suppress(LongreachError):
+                    client.reset()
+        browser.close()
+    view.kill()
+    return np.array(took)
+
+
 def dual_trajectory(length, seeds):
     """The tool's error of the experiment, driven through a server and in one process, RMS [mm], of some seeds.
 
@@ -255,6 +298,7 @@ def main():
     parser.add_argument("--dual-trajectory", action="store_true")
     parser.add_argument("--length", type=float, default=2.0)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--page", action="store_true")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no server is left behind
     if options.dual_trajectory:
@@ -262,6 +306,12 @@ def main():
         return
     server = Server(options.hardware).ready()
     try:
+        if options.page:
+            took = page_stops(20)
+            p50, p90 = np.percentile(took, [50, 90])
+            say = f"STOP of the page, load {os.getloadavg()[0]:.1f}: median {p50:.1f} ms, nine of ten {p90:.1f} ms, "
+            print(say + f"longest {took.max():.1f} ms of {len(took)} (bar 50 ms)")
+            return
         rows = costs(server, min(10.0, 15.0 * options.minutes)) + ways(server, options.minutes)
     finally:
         server.end()

@@ -1,6 +1,6 @@
 """Does the robot run into things? Random drives by hand and random goals in four worlds, without forces.
 
-    python benchmarks/obstacles.py [--count 500] [--seed 0]
+    python benchmarks/obstacles.py [--count 500] [--seed 0] [--worlds warehouse …]
 
 Each case starts at the world's origin with whatever the laser sees from there. Half of them are driven by hand, with
 twists that change every 1.5 s, for 8 s; half are plans straight to a goal within 3 m, which are refused where they lead
@@ -104,13 +104,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
     options = parser.parse_args()
     robot = lr.load_robot("thing")
     height = robot.description.lidar.mount.z
     avoidable = 0
     print("| world | cases | plans refused | blocked on the way | contacts: seen / not seen | nearest otherwise [m] |")
     print("|---|---|---|---|---|---|")
-    for world in WORLDS:
+    for world in options.worlds:
         points = walls(world, height)
         cases = [Case(robot, world, points, options.seed + i) for i in range(options.count // len(WORLDS))]
         for case in cases:

@@ -3,10 +3,11 @@
 import time
 
 import numpy as np
-from ros_nodes import listening, odometry, until
+from ros_nodes import listening, odometry, until, wheels_message
 
 from longreach.control.hardware import Command
 from longreach.geometry import se2
+from longreach.io import messages
 from longreach.ros import wire
 from longreach.ros.hardware import connect_ros
 
@@ -198,3 +199,45 @@ def _thought(message):
 def _place(message):
     position, q = message.pose.position, message.pose.orientation
     return np.array([position.x, position.y, 2.0 * np.arctan2(q.z, q.w)])
+
+
+def told_of_bad_readings(robot, recording):
+    """Send a recording in which messages are bad in five ways; what the estimate's diagnostics say of the readings, and
+    how many times odometry came after the last bad one."""
+    types, kinds = wire.message_types(), {}
+    kinds["wheels"] = wire.Publisher("/joint_states", "sensor_msgs/msg/JointState")
+    kinds["imu"] = wire.Publisher("/imu/data", "sensor_msgs/msg/Imu")
+    kinds["scans"] = wire.Publisher("/front/scan", "sensor_msgs/msg/LaserScan")
+    make = {
+        "wheels": lambda stamp, one: wheels_message(robot, types, stamp, one),
+        "imu": lambda stamp, one: messages.imu(types, stamp, one),
+        "scans": lambda stamp, one: messages.laser_scan(types, stamp, one),
+    }
+    rows = [(one.stamp, kind, one) for kind in kinds for one in getattr(recording, kind)]
+    rows.sort(key=lambda row: row[0])
+    with (
+        listening("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray") as (told, _),
+        listening("/odometry/filtered", ODOMETRY) as (filtered, ready),
+    ):
+        ready()
+        until(lambda: all(publisher.listeners for publisher in kinds.values()), 20.0, "the node")
+        offset, count = wire.now() - rows[0][0], 0
+        for at, kind, one in rows:
+            time.sleep(max(at + offset - wire.now(), 0.0))
+            message, count = make[kind](at + offset, one), count + 1
+            if kind == "imu" and count % 20 == 0:
+                message.angular_velocity.x = float("nan")
+            elif kind == "imu" and count % 21 == 0:
+                message.header.stamp.sec -= 1
+            elif kind == "imu" and count % 22 == 0:
+                message.header.stamp.sec = 5  # 1970
+            elif kind == "wheels" and count % 20 == 0:
+                message.position = message.position[:3]
+            elif kind == "scans":
+                message.ranges = 1000.0 * message.ranges
+                message.range_max = 1e5
+            kinds[kind].send(message)
+        came = len(filtered)
+        time.sleep(1.5)
+        said = {status.message for array in told for status in array.status if status.name == "longreach: readings"}
+    return said, came

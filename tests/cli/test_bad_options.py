@@ -68,6 +68,8 @@ _WRONG = {
     ],
     "connect": [
         ("127.0.0.1:99999", "a port is a number from 1 to 65535"),
+        ("--duration 2 --move-to 0,0", "--duration is for watching and for --velocity; leave it out with --move-to"),
+        ("--resume", "--resume is for --plan"),
         ("--method luck", "luck"),
         ("--velocity 1,2", "--velocity takes 3 numbers"),
         ("--velocity nan,0,0", "--velocity takes 3 numbers"),

@@ -98,29 +98,36 @@ def test_a_damaged_chunk_of_a_cut_file_is_left_out(tmp_path, chunk):
     path.write_bytes(bad)
     info = inspect(path)
     assert info.topics[0].count == 8
-    assert info.remarks[0].endswith("are read; 1 damaged chunks are left out.")
+    said, cut = info.remarks
+    assert re.fullmatch(r"A chunk of the file is damaged \(\d+ bytes .*\); the 4 messages in it were left out\.", said)
+    assert cut.endswith("are read.")
 
 
-def test_a_damaged_chunk_of_a_whole_file_is_left_out_and_said(tmp_path):
+@pytest.mark.parametrize("chunk", [0, 1, 2])
+def test_a_damaged_chunk_of_a_whole_file_is_left_out_alone(tmp_path, chunk):
     path = tmp_path / "run.mcap"
     ends = chunks_of(path, 3)
     bad = bytearray(path.read_bytes())
-    bad[ends[0] + 300] ^= 1
+    bad[ends[chunk] - 300] ^= 1
     path.write_bytes(bad)
-    found, info = read_bag(path, ROBOT), inspect(path)
-    assert (len(found.imu), info.topics[0].count) == (8, 8)
-    for remarks in (found.remarks, info.remarks):
-        assert re.fullmatch(r"The chunk that begins at [0-9.]+ is damaged and left out\.", remarks[0])
+    stamps = 0.01 * np.array([i for i in range(12) if i // 4 != chunk])
+    recording = read_bag(path, ROBOT)
+    assert [imu.stamp for imu in recording.imu] == pytest.approx(stamps)
+    (said,) = recording.remarks
+    assert re.fullmatch(r"A chunk of the file is damaged \(\d+ bytes .*\); the 4 messages in it were left out\.", said)
+    assert inspect(path).remarks == (said,)
+    assert inspect(path).topics[0].count == 8
 
 
-def test_a_file_of_damaged_chunks_alone_is_refused(tmp_path):
+def test_a_whole_file_without_a_whole_chunk_is_refused(tmp_path):
     path = tmp_path / "run.mcap"
     ends = chunks_of(path, 1)
     bad = bytearray(path.read_bytes())
     bad[ends[0] - 300] ^= 1
     path.write_bytes(bad)
-    with pytest.raises(RecordingError, match="each chunk is damaged"):
-        read_bag(path, ROBOT)
+    for read in (lambda: read_bag(path, ROBOT), lambda: inspect(path)):
+        with pytest.raises(RecordingError, match="no whole chunk"):
+            read()
 
 
 def mcap_of(path, channels, profile="", index=True):

@@ -60,3 +60,24 @@ def test_a_pose_out_of_reach_is_refused_by_sqp_with_a_sentence(thing):
     T[2, 3] += 3.0
     with pytest.raises(PlanningError, match="choose a pose that the robot can reach"):
         motions.to_pose(thing, thing.home, T, "sqp")
+
+
+@pytest.mark.parametrize("progress", [0.0, 0.4, 0.97, 1.0])
+def test_what_is_left_of_a_plan_begins_at_rest_where_the_robot_stands_and_ends_as_the_plan(thing, progress):
+    plan = motions.to_pose(thing, thing.home, np.array(se3.from_rotation_translation(*_beside(thing))), "task-priority")
+    q = sample(plan, np.array([plan.stamps[0] + progress * plan.duration]))[0][0]
+    q = q + 0.02 * np.sin(np.arange(thing.dof))
+    q[2] += 2.0 * np.pi  # an estimate's heading may be a turn off
+    left = motions.what_is_left(thing, plan, q, progress)
+    np.testing.assert_allclose(left.q[0], q, atol=1e-9)
+    turn = np.round((left.q[-1] - plan.q[-1])[2] / (2 * np.pi)) * 2 * np.pi
+    np.testing.assert_allclose(left.q[-1] - plan.q[-1], [0, 0, turn, *np.zeros(thing.dof - 3)], atol=1e-9)
+    _, v, a = sample(left, np.linspace(left.stamps[0], left.stamps[-1], 2000))
+    assert np.abs(v[[0, -1]]).max() < 1e-3
+    assert np.all(np.abs(v) <= thing.limits.velocity)
+    assert np.all(np.abs(a) <= 1.25 * thing.limits.acceleration)
+
+
+def _beside(thing):
+    T = thing.forward(thing.home)
+    return T[:3, :3], T[:3, 3] + [0.5, 0.3, 0.1]

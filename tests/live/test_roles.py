@@ -33,6 +33,7 @@ def both(roles, to):
 
 def test_a_watcher_sees_everything(both):
     _, operator, watcher = both
+    assert (operator.role, watcher.role) == ("operator", "watcher")
     operator.velocity(base=_TWIST)
     until(lambda: watcher.state.holder == "operator")
     assert watcher.robot.joint_names == operator.robot.joint_names

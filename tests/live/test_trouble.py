@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from live_networks import Lossy, Network, until
 
+from longreach.live.client.motions import straight
 from longreach.live.protocol import transport
 
 # Drives the base and says so; lives until it is killed.
@@ -123,6 +124,23 @@ def test_a_network_that_is_cut_ends_the_plan_and_the_client_commands_anew_when_i
     assert where < goal[0] - 0.05
     client.move_to(goal)
     assert watcher.state.q[0] == pytest.approx(goal[0], abs=0.01)
+    client.release()
+
+
+def test_a_client_that_is_asked_to_resume_commands_what_is_left_after_a_cut_and_says_so(served, to, thing, caplog):
+    watcher, network = to(served), Network(served.port)
+    client = to(network.address, name="through the network")
+    goal = watcher.state.q.copy()
+    goal[1] += 0.6
+    cutter = threading.Timer(0.8, lambda: setattr(network, "cut", True))
+    mender = threading.Timer(4.0, lambda: setattr(network, "cut", False))
+    cutter.start()
+    mender.start()
+    watched = Watched(watcher)
+    state = client.execute(straight(thing, watcher.state.q, goal), resume=True)
+    assert state.q == pytest.approx(goal, abs=0.01)
+    assert any("was not heard" in why for why in {state.why for state in watched.states})
+    assert "what is left is commanded now" in caplog.text
     client.release()
 
 

@@ -67,7 +67,8 @@ class Pretender:
         self._q, self._start, self._plan, self.stopped = robot.home.copy(), time.monotonic(), None, 0.0
         self._begun, self.holds, self.covariance = 0.0, False, 1e-4 * np.eye(3)
         self.reason, self.holder, self.why = "The client says stop.", "", ""
-        self.limited, self.minds_obstacles = "", True
+        self.role = "operator"
+        self.limited, self.minds_obstacles, self.remarks = "", True, ()
 
     @property
     def state(self):
@@ -80,8 +81,8 @@ class Pretender:
             wheels=self._q[:3], truth=self._q[:3], tool_truth=None, goal="hold", progress=0.0, loop_time=1e-3,
             stop=self.reason if self.stopped else "", latched=bool(self.stopped), holder=self.holder,
             joints={}, cause="emergency stop" if self.stopped else "", stopped_by="page" if self.stopped else "",
-            stopped_at=self.stopped - self._start if self.stopped else 0.0, why=self.why, limited=self.limited,
-            minds_obstacles=self.minds_obstacles,
+            stopped_at=self.stopped - self._start if self.stopped else 0.0, why=self.why,
+            limited=self.limited, minds_obstacles=self.minds_obstacles, remarks=self.remarks,
         )  # fmt: skip
 
     def on_state(self, callback):

@@ -272,3 +272,23 @@ def test_a_plan_that_does_not_exist_is_told_and_nothing_is_shown(teleop, pretend
     teleop._dragged(SimpleNamespace(phase="end"))
     until(lambda: not teleop._busy)
     assert teleop.plan is None
+
+
+def test_a_watchers_page_says_so_and_has_nothing_that_would_be_refused(server, pretender, tmp_path):
+    pretender.role, pretender.stopped = "watcher", time.monotonic() - 60.0
+    page = Teleop(server, pretender, tmp_path)
+    page.show()
+    assert "You watch" in page._status.content
+    assert not any(part.visible for part in (page._reset, page._release, page.gizmo))
+    _, sentence = page._banner(pretender.state)
+    assert "An operator has to clear the stop" in sentence
+
+
+def test_what_is_wrong_with_the_readings_is_in_the_panel_as_text_and_each_is_a_notice_once(server, pretender, tmp_path):
+    page = Teleop(server, pretender, tmp_path)
+    pretender.remarks = ("The IMU feels <b>gravity</b> downwards.",)
+    for _ in range(3):
+        page.show()
+    assert "feels &lt;b&gt;gravity" in page._status.content
+    (notice,) = page._notices._given.values()
+    assert (notice.count, notice.body) == (1, pretender.remarks[0])

@@ -1,6 +1,7 @@
 """The doctor: what can be checked of a recording before anything is fused.
 
-What a check can put right by itself it does, what it cannot it leaves out; either way it says so in a sentence.
+What a check can put right by itself it does, what it cannot it leaves out; either way it says so in a sentence: what
+was found and, behind a semicolon, what was done.
 It looks at no more than a sample of each sensor, so that it costs next to nothing beside reading.
 """
 
@@ -108,7 +109,7 @@ def _gravity(felt: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, float | None,
     if scale is None:
         return none, None, f"The IMU's acceleration is {size:.2f} m/s² where gravity is {_GRAVITY:.2f}; {out}."
     units = {1.0: "", _GRAVITY: "g", 1e-3 * _GRAVITY: "thousandths of g"}[scale]
-    say = f"The IMU's acceleration is {size:.2f}: it was taken in {units}." if units else ""
+    say = f"The IMU's acceleration is {size:.2f}; it was taken in {units}." if units else ""
     up = R @ mean / max(float(np.linalg.norm(mean)), 1e-9)
     lean = float(np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0))))
     if lean < _UPRIGHT:

@@ -235,9 +235,9 @@ def _odd_one(turns: Mapping[_Pair, _Ratio | None], wrong: set[_Pair], said: Mapp
     if source == "imu" and abs(ratio.correlation) >= _AGREE:
         for what, unit in _UNITS.items():
             if abs(k / unit - 1.0) < _GYRO + _SURE * abs(ratio.error / ratio.k):
-                return Fault(source, "turn", f"{say}: {what} was put right.", unit)
+                return Fault(source, "turn", f"{say}; {what} was put right.", unit)
     if source == "lidar" and known and abs(k + 1.0) < _GYRO:
-        return Fault(source, "flip", f"{say}: the LIDAR is upside down, and was taken so.")
+        return Fault(source, "flip", f"{say}: the LIDAR is upside down; it was taken so.")
     return Fault(source, "leave", f"{say}; {NAMES[source]} {'was' if source == 'imu' else 'were'} left out.")
 
 
@@ -324,6 +324,9 @@ def _delay(a: Motions, b: Motions) -> float | None:
     most = int(_LATEST * _RATE)
     alike = np.array([_correlation(x, y, shift) for shift in range(-most, most + 1)])
     best = int(np.argmax(alike))
+    near = alike[most - int(_LATE * _RATE) : most + int(_LATE * _RATE) + 1]
+    if -near.min() > alike[best]:
+        return None  # of the other sign, which swaying turns take for half a period
     apart = 1.0 - alike[best] ** 2, 1.0 - max(alike[most], 0.0) ** 2
     if alike[best] < _ALIKE or best in (0, 2 * most) or apart[1] < _CLEARER * apart[0]:
         return None

@@ -62,7 +62,8 @@ def step(state: TrackerState, readings: Readings, orders: Orders) -> tuple[Track
     if orders.stop:
         gate = replace(gate, stop=Stop("emergency stop", orders.stop, now, True))
     heartbeat = now if orders.heartbeat is None else orders.heartbeat  # where nobody holds the robot nobody is missed
-    why = state.why if orders.goal is None else ""
+    holds = isinstance(state.goal, Hold) and isinstance(goal, Hold)  # and is asked to: that is no new goal
+    why = state.why if orders.goal is None or holds else ""
     return tracker.step(
         replace(state, goal=goal, gate=gate, contact=contact, why=why), readings, heartbeat, orders.gripper
     )

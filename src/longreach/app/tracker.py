@@ -30,7 +30,9 @@ from longreach.errors import ControlError
 from longreach.estimation.planar.state import Correction
 from longreach.geometry import se2
 from longreach.localization import localizer
-from longreach.localization.localizer import LocalizerState, Reading, Row
+from longreach.localization.localizer import LocalizerState, Output, Reading, Row
+from longreach.measurement import Odometry, Wheels, WheelTicks
+from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _HALT = 0.25  # a stop that lasts longer ends the goal [s]; as long as a command counts
@@ -72,6 +74,7 @@ class TrackerState:
 
     commanded (3,): where the base would be if it did as it is commanded; contact: whether it has met something.
     blocked: since when an obstacle holds up the plan [s]; why: why the goal before ended early, empty where it did not.
+    given: what the estimate gave out at the last tick.
     """
 
     robot: MobileManipulator
@@ -87,6 +90,7 @@ class TrackerState:
     contact: ContactState = base_contact.NOTHING
     blocked: float | None = None
     why: str = ""
+    given: Output | None = None
 
     @property
     def ended(self) -> bool:
@@ -140,7 +144,7 @@ def step(
     heartbeat: when the client was heard [s]; gripper: a new command for the fingers.
     """
     now, robot, config, goal = readings.stamp, state.robot, state.config, state.goal
-    where, estimated = localizer.step(state.localizer, sensed(readings))  # estimate
+    where, estimated = localizer.step(state.localizer, sensed(readings, robot.description))  # estimate
     belief = where.belief(now)
     arm = _arm(state, readings)
     q = np.concatenate([belief.pose[: robot.base.stop], arm])
@@ -176,6 +180,7 @@ def step(
         base_due=base_due,
         commanded=commanded,
         contact=contact,
+        given=estimated,
     )
     return _ended_early(after, state.stamp), command, tick
 
@@ -198,9 +203,18 @@ def _ended_early(state: TrackerState, before: float) -> TrackerState:
     return replace(state, goal=Hold(), blocked=None, why=state.why if isinstance(state.goal, Hold) else why)
 
 
-def sensed(readings: Readings) -> list[Reading]:
+def sensed(readings: Readings, robot: RobotDescription) -> list[Reading]:
     """Return what a localizer takes of the readings; which of two kinds came first is not known, so by their stamps."""
-    return sorted([*readings.wheels, *readings.imu, *readings.scans], key=lambda reading: reading.stamp)
+    wheels = [one for one in readings.wheels if not wheels_fault(one, robot)]
+    return sorted([*wheels, *readings.imu, *readings.scans], key=lambda reading: reading.stamp)
+
+
+def wheels_fault(record: Wheels, robot: RobotDescription) -> str:
+    """Return why wheels' readings are not the robot's, as the end of a sentence that starts with "each"; else ""."""
+    if isinstance(record, Odometry) or robot.base is None:
+        return ""
+    count, wheels = len(record.ticks if isinstance(record, WheelTicks) else record.speeds), robot.base.wheel_names
+    return "" if count == len(wheels) else f"has {count} numbers for {len(wheels)} wheels"
 
 
 def _arm(state: TrackerState, readings: Readings) -> np.ndarray:
@@ -298,7 +312,9 @@ def begin(
     """Return the loop before its first tick, and what was read until the robot said where its arm is."""
     kept, arm = _first_readings(hardware, wait_until, robot)
     state = init(robot, hardware, goal, np.concatenate([base[: robot.base.stop], arm]), kept[-1].stamp, config)
-    where, _ = localizer.step(state.localizer, [one for readings in kept for one in sensed(readings)])
+    where, _ = localizer.step(
+        state.localizer, [one for readings in kept for one in sensed(readings, robot.description)]
+    )
     return replace(state, localizer=where), kept
 
 

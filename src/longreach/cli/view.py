@@ -92,8 +92,8 @@ def _show_recording(
 
 def _serve(server: object, loop: object, browser: bool, duration: float | None) -> None:
     """Say where the page is, and let it run until the time is over or somebody interrupts."""
+    import tempfile
     import threading
-    import webbrowser
     from typing import Any, cast
 
     from longreach.view.page import close_page
@@ -105,12 +105,22 @@ def _serve(server: object, loop: object, browser: bool, duration: float | None) 
         timer.daemon = True
         timer.start()
     address = page.gate.address  # with its secret
-    opened = browser and webbrowser.open(address)
-    typer.echo(f"{'The page is' if opened else 'Open'} {address}{'' if opened else ' in a browser'}; Ctrl+C ends it.")
-    try:
-        work(until)
-    finally:
-        close_page(page)
+    with tempfile.TemporaryDirectory(prefix="longreach-") as folder:  # nobody else may look into it
+        opened = browser and _opened(address, Path(folder) / "page.html")
+        say = f"The page is {address}" if opened else f"Open {address} in a browser"
+        typer.echo(f"{say}; Ctrl+C ends it.")
+        try:
+            work(until)
+        finally:
+            close_page(page)
+
+
+def _opened(address: str, file: Path) -> bool:
+    """Open a page by a file that leads to it: the list of processes shows what a browser is started with."""
+    import webbrowser
+
+    file.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+    return webbrowser.open(file.as_uri())
 
 
 def _show_robot(

@@ -45,7 +45,8 @@ class GripperCommand:
 class Readings:
     """All that is new since the last read, each with its own stamp and in its order; `stamp`: when it was read [s].
 
-    emergency_stop: whether the robot's red button is pressed now.
+    emergency_stop: whether the robot's red button is pressed now. remarks: what of its readings could not be used since
+    the start, a sentence each.
     """
 
     stamp: float
@@ -56,6 +57,7 @@ class Readings:
     wrenches: tuple[Wrench, ...] = ()
     gripper: GripperState | None = None
     emergency_stop: bool = False
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,8 @@ Cause = Literal[
     "emergency stop", "contact", "divergence", "late tick", "stale data", "client gone", "bad command", "silence"
 ]
 
+NOT_HEARD = "The client was not heard"
+
 
 class Stop(NamedTuple):
     """Why the robot is being stopped, since when [s], and whether it stays so until `reset`."""
@@ -145,7 +147,7 @@ def transient_stop(config: SafetyConfig, state: Watch, health: Health, dt: float
     if config.heartbeat_timeout is not None:
         heard = state.since if health.heartbeat is None else health.heartbeat
         if not now - heard <= config.heartbeat_timeout:
-            return Stop("client gone", f"The client was not heard for {now - heard:.2f} s.", now)
+            return Stop("client gone", f"{NOT_HEARD} for {now - heard:.2f} s.", now)
     return None
 
 

@@ -299,7 +299,7 @@ def _stamped(sensor: _Sensor) -> clocks.Stamped:
 
 def _left_out(sensors: Mapping[str, _Sensor]) -> list[str]:
     return [
-        f"{count} messages of {sensor.topic.name} cannot be used and were left out: each {why}."
+        records.left_out(count, sensor.topic.name, why)
         for sensor in sensors.values()
         for why, count in sensor.left_out.items()
         if count

@@ -86,7 +86,7 @@ def _joined(topics: Mapping[str, Stamped], stamps: dict[str, np.ndarray]) -> lis
         if is_another(level[role], usual):
             stamps[role] = stamps[role] - off
             remarks.append(
-                f"{one.topic} is on another clock: its stamps are {_seconds(off)} off those of the other topics, "
+                f"{one.topic} is on another clock: its stamps are {seconds(off)} off those of the other topics, "
                 "measured by the times of recording; they were moved by that."
             )
         elif off < -_LATE:
@@ -150,7 +150,7 @@ def _moved_back(topics: Mapping[str, Stamped], stamps: dict[str, np.ndarray]) ->
             own = next(one for one in steps[role] if abs(one.at - step.at) < 2.0 and abs(one.by - step.by) < _SAME)
             stamps[role] = stamps[role] - own.by * (np.arange(len(stamps[role])) >= own.first)
         remarks.append(
-            f"The clock of {', '.join(topics[role].topic for role in roles)} was set by {_seconds(step.by)} "
+            f"The clock of {', '.join(topics[role].topic for role in roles)} was set by {seconds(step.by)} "
             f"{step.at - start:.1f} s after the start; what follows was moved back."
         )
     return remarks
@@ -198,5 +198,6 @@ def _spread(one: Stamped, stamps: np.ndarray, timed: bool) -> tuple[np.ndarray, 
     return spread, [say + ("they were spread over the time since the one before." if timed else "they were spread.")]
 
 
-def _seconds(value: float) -> str:
+def seconds(value: float) -> str:
+    """Return a time [s] as text; what counts from 1970 without its fractions."""
     return f"{value:.3g} s" if abs(value) >= 1e5 else f"{value:.3f} s"

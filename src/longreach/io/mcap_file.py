@@ -201,7 +201,7 @@ class McapReader:
     """An MCAP of ROS messages, as rosbags' readers are used: by its index, or all whole chunks where it has none.
 
     Each channel's own encodings count, whatever the header's profile is: messages of ROS 1 and ROS 2 are read, others
-    are left out. A damaged chunk takes no other one with it.
+    are left out. remarks: a sentence each.
 
     Raises:
         ValueError: there is no whole chunk.
@@ -209,8 +209,8 @@ class McapReader:
     """
 
     def __init__(self, path: Path) -> None:
-        self._remarks: list[str] = []
-        self._damaged: dict[int, str] = {}  # a sentence on each damaged chunk of a whole file, by its place
+        self.remarks: list[str] = []
+        self._damaged: set[int] = set()  # where chunks start that cannot be read
         self._file = path.open("rb")
         try:
             self._size = os.fstat(self._file.fileno()).st_size
@@ -263,7 +263,7 @@ class McapReader:
     def _scan(self) -> None:
         """Find all parts that are whole."""
         self._clear()
-        at, damaged, taken = len(MCAP_MAGIC), 0, (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
+        at, taken = len(MCAP_MAGIC), (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK)
         while at + _RECORD.size <= self._size:
             self._file.seek(at)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
@@ -274,18 +274,31 @@ class McapReader:
                 try:
                     self._take(_Part(0, opcode, start, length))
                 except Exception:  # whatever the decompressors, struct or Unicode say of it
-                    damaged += 1
+                    self._leave_out(_Part(0, opcode, start, length))
         if not self._parts and not self._is_whole:
             raise ValueError("no whole chunk is in it")
-        left_out = f"{damaged} damaged chunks are left out"
         if not self._is_whole:
             end = self.end_time - 1
-            self._remarks.append(
+            self.remarks.append(
                 f"The recording was cut off, its file has no end: the {1e-9 * (end - self.start_time):.1f} s up to its "
-                f"last whole chunk, which ends at {1e-9 * end:.3f}, are read{f'; {left_out}' if damaged else ''}."
+                f"last whole chunk, which ends at {1e-9 * end:.3f}, are read."
             )
-        elif damaged:
-            self._remarks.append(f"{left_out}.")
+
+    def _leave_out(self, part: _Part) -> None:
+        """Say once that a part is damaged, and how much is lost as far as the index behind it says."""
+        if part.start in self._damaged:
+            return
+        self._damaged.add(part.start)
+        at, count = part.start + part.length, 0
+        while part.opcode == _CHUNK and at + _RECORD.size < self._size:
+            self._file.seek(at)
+            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            if opcode != _MESSAGE_INDEX or length < 6:
+                break
+            count, at = count + (length - 6) // 16, at + _RECORD.size + length
+        lost = f"the {count} messages in it were" if count else "what is in it was"
+        where = f"{part.length} bytes from byte {part.start} on"
+        self.remarks.append(f"A chunk of the file is damaged ({where}); {lost} left out.")
 
     def _take(self, part: _Part) -> None:
         """Take note of what is in a part."""
@@ -334,7 +347,7 @@ class McapReader:
             named = ", ".join(others)
             if not connections:
                 raise RecordingError(f"{path} holds no messages of ROS, only {named}; record the topics of ROS.")
-            self._remarks.append(f"Topics whose messages are not of ROS are left out: {named}.")
+            self.remarks.append(f"Topics whose messages are not of ROS are left out: {named}.")
         return connections
 
     def _records(self, part: _Part) -> Iterator[tuple[int, bytes]]:
@@ -352,25 +365,6 @@ class McapReader:
             raise ValueError("a chunk is damaged")
         yield from _split(data)
 
-    def _whole_records(self, part: _Part) -> list[tuple[int, bytes]]:
-        """Return opcode and body of the records of a part, none where it is damaged.
-
-        Raises:
-            ValueError: all are.
-        """
-        try:
-            return list(self._records(part))
-        except Exception as error:  # whatever the decompressors or struct say of it
-            self._damaged[part.start] = f"The chunk that begins at {1e-9 * part.first_ns:.3f} is damaged and left out."
-            if len(self._damaged) == len(self._parts):
-                raise ValueError("each chunk is damaged") from error
-            return []
-
-    @property
-    def remarks(self) -> list[str]:
-        """A sentence each; damaged chunks of a whole file are found when its messages are read."""
-        return [*self._remarks, *self._damaged.values()]
-
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield connection, time of recording [ns] and payload of messages in that time's order."""
         wanted = {connection.id: connection for connection in connections}
@@ -380,10 +374,17 @@ class McapReader:
             while waiting and waiting[0][0] < part.first_ns:
                 stamp, _, channel, payload = heapq.heappop(waiting)
                 yield wanted[channel], stamp, payload
-            for opcode, body in self._whole_records(part):
+            try:
+                records = list(self._records(part))
+            except Exception:  # whatever the decompressors or struct say of it
+                self._leave_out(part)
+                continue
+            for opcode, body in records:
                 if opcode == _MESSAGE and (channel := int.from_bytes(body[:2], "little")) in wanted:
                     stamp, number = _STAMPED.unpack_from(body)[2], number + 1
                     heapq.heappush(waiting, (stamp, number, channel, body[_STAMPED.size :]))
+        if len(self._damaged) == len(self._parts) > 0:
+            raise ValueError("no whole chunk is in it")
         for stamp, _, channel, payload in sorted(waiting):
             yield wanted[channel], stamp, payload
 

@@ -19,6 +19,7 @@ from longreach.robot.description import Encoder, Lidar, RobotDescription
 
 Make = Callable[..., Any]
 Read = Make | str
+GYRO_NOT_FINITE = "has an angular velocity that is not finite"
 
 # Of a fix whose message says none; ours. A motion capture is better, but where its markers sit is known to about this.
 FIX_DEVIATIONS = (0.01, 0.01, 0.01)  # [m, m, rad]
@@ -27,6 +28,11 @@ FIX_DEVIATIONS = (0.01, 0.01, 0.01)  # [m, m, rad]
 def frame_name(name: str) -> str:
     """Return a frame without the slash that old ROS puts first."""
     return name.lstrip("/")
+
+
+def left_out(count: int, topic: str, why: str) -> str:
+    """Return the sentence about messages of a topic that a function here could not use."""
+    return f"{count} messages of {topic} cannot be used and were left out: each {why}."
 
 
 def laser_scan(message: Any, lidar: Lidar | None) -> Read:
@@ -58,7 +64,7 @@ def imu(message: Any) -> Read:
     if message.angular_velocity_covariance[0] == NOT_MEASURED:
         return "marks its angular velocity as not measured"
     if not math.isfinite(w.x + w.y + w.z):
-        return "has an angular velocity that is not finite"
+        return GYRO_NOT_FINITE
     felt = message.linear_acceleration_covariance[0] != NOT_MEASURED and math.isfinite(a.x + a.y + a.z)
     return partial(
         Imu,
@@ -118,7 +124,7 @@ def _of_base(pose: Any, T_base_child: np.ndarray) -> np.ndarray | None:
     return se2.from_se3(T_base_child @ T @ se3.inverse(T_base_child))
 
 
-def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
+def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | str | None:
     """Read the wheels out of a sensor_msgs/JointState: whether they were found by name, and what makes the record.
 
     Where the names are others, or none, but there are as many numbers as wheels, they are taken in their order.
@@ -129,7 +135,10 @@ def wheels(message: Any, robot: RobotDescription) -> tuple[bool, Make] | None:
     make = partial(WheelSpeeds) if signal == "speed" else partial(WheelTicks)
     key = "speeds" if signal == "speed" else "ticks"
     steered = robot.base.kind == "ackermann"  # its last number is always a position
-    if set(names) <= set(message.name) and len(values) == len(message.name):
+    if set(names) <= set(message.name) and len(values) != len(message.name):
+        what = "velocities" if signal == "speed" else "positions"
+        return f"names {len(message.name)} joints but has {len(values)} {what}"
+    if set(names) <= set(message.name):
         where = [message.name.index(name) for name in names]
         values = values[where]
         if steered:

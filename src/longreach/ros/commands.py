@@ -28,10 +28,10 @@ class Commands:
         self._base: np.ndarray | None = None
         self._arm: tuple[ArmMode, np.ndarray] | None = None
         self.stop_pressed = False
-        wire.listen(base, (TWIST,), self._take_base, wire.complain)
+        wire.listen(base, (TWIST,), self._take_base)
         for mode, topic in ARM_TOPICS.items():
-            wire.listen(topic, (NUMBERS,), lambda message, mode=mode: self._take_arm(mode, message), wire.complain)
-        wire.listen(EMERGENCY_STOP, (BOOL,), self._take_stop, wire.complain)
+            wire.listen(topic, (NUMBERS,), lambda message, mode=mode: self._take_arm(mode, message))
+        wire.listen(EMERGENCY_STOP, (BOOL,), self._take_stop)
 
     def take(self) -> tuple[Float[np.ndarray, "3"] | None, tuple[ArmMode, Float[np.ndarray, " n"]] | None]:
         """Return the twist (3,) and the arm's mode and numbers (n,) that came in since the last call."""

@@ -1,20 +1,19 @@
 """What /diagnostics says of an estimate: by source how often it speaks, what became of it, and how far off it is."""
 
-import logging
 import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
-from longreach.app import plausibility
+from longreach.app.readings_check import ReadingsCheck
+from longreach.control.hardware import Readings
 from longreach.estimation.planar.state import Correction
 from longreach.io import messages
 from longreach.localization.localizer import Output
+from longreach.robot.description import RobotDescription
 from longreach.ros import wire
-from longreach.ros.sensors import Sensors
 
-_LOG = logging.getLogger("longreach.ros")
 _PERIOD = 1.0  # [s]; what diagnostic_updater does
 _FAR = 3.0  # of the mean NIS a degree of freedom, which is 1 where everything is as noisy as it says; ours
 _OK, _WARN, _STALE = 0, 1, 3
@@ -42,16 +41,15 @@ class Tally:
 class Diagnostics:
     """Counts, and once a period tells."""
 
-    def __init__(self, sensors: Sensors) -> None:
-        self._sensors, self._since = sensors, time.monotonic()
+    def __init__(self, robot: RobotDescription) -> None:
+        self._since = time.monotonic()
         self._publisher = wire.Publisher("/diagnostics", _ARRAY)
         self._tallies: defaultdict[str, Tally] = defaultdict(Tally)
-        self._recent = plausibility.Recent()
+        self._check = ReadingsCheck(robot, log="longreach.ros")
 
-    def take(self, output: Output, mount_is_known: bool = True) -> None:
+    def take(self, readings: Readings, output: Output) -> None:
         """Count what became of measurements, and tell where it is time to."""
-        if self._recent.take(output.matches, output.events, mount_is_known) and self._recent.remark:
-            _LOG.warning(self._recent.remark)
+        self._check.take(readings, output)
         for correction in output.corrections:
             if correction.dof or correction.status == "refused":
                 self._tallies[correction.source].take(correction)
@@ -60,9 +58,8 @@ class Diagnostics:
             return
         types = wire.message_types()
         statuses = [_status(types, name, tally, elapsed) for name, tally in self._tallies.items()]
-        statuses.append(_unread(types, self._sensors))
-        level, sentence = (_WARN, self._recent.remark) if self._recent.remark else (_OK, "agree with each other")
-        statuses.append(status(types, level, "longreach: sources", sentence, {}))
+        level, sentence = (_WARN, " ".join(remarks)) if (remarks := self._check.remarks) else (_OK, "nothing is wrong")
+        statuses.append(status(types, level, "longreach: readings", sentence, {}))
         self._publisher.send(types[_ARRAY](messages.header(types, wire.now(), ""), statuses))
         self._tallies = defaultdict(
             Tally, {name: Tally() for name in self._tallies}
@@ -88,13 +85,6 @@ def _status(types: messages.Types, name: str, tally: Tally, elapsed: float) -> A
         "NIS per degree of freedom": f"{nis:.3f}",
     }
     return status(types, level, f"longreach: {name}", sentence, values)
-
-
-def _unread(types: messages.Types, sensors: Sensors) -> Any:
-    refused = dict(sensors.refused)
-    level = _WARN if refused else _OK
-    values = {role: str(count) for role, count in refused.items()}
-    return status(types, level, "longreach: messages", sensors.complaint or "all were read", values)
 
 
 def status(types: messages.Types, level: int, name: str, sentence: str, values: dict[str, str]) -> Any:

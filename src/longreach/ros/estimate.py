@@ -60,17 +60,18 @@ def run(robot: RobotDescription, config: NodeConfig | None = None) -> None:
     sensors = Sensors(robot, config.estimate.sources or _SOURCES)
     without_mount = any(sensor is None or sensor.mount is None for sensor in (robot.lidar, robot.imu))
     estimator = Estimator(robot, config.estimate, Mounts() if without_mount else None)
-    out, health = _Outputs(config), Diagnostics(sensors)
+    out, health = _Outputs(config), Diagnostics(robot)
     _LOG.info("The estimate of %s is ready.", robot.name)
     with wire.running() as goes_on:
         while goes_on():
             time.sleep(1.0 / config.rate)
             before = estimator.where
-            output = estimator.take(sensors.take(), time.monotonic())
+            heard = sensors.take()
+            output = estimator.take(heard, time.monotonic())
             out.settled(output.rows)
             if estimator.where is not None and (before is None or estimator.where.stamp > before.stamp):
                 out.filtered(estimator.where)
-            health.take(output)
+            health.take(heard.readings, output)
 
 
 class Estimator:
@@ -88,7 +89,7 @@ class Estimator:
     def take(self, heard: Heard, now: float) -> Output:
         """Return the rows that this has settled, and what became of the measurements; now [s] on any clock."""
         self._kept.append(heard)
-        readings = [one for some in self._kept for one in (*sensed(some.readings), *some.fixes)]
+        readings = [one for some in self._kept for one in (*sensed(some.readings, self._robot), *some.fixes)]
         readings.sort(key=lambda reading: reading.stamp)
         if not readings:
             self._kept.clear()

@@ -40,7 +40,7 @@ class Mounts:
     def __init__(self) -> None:
         self._tree, self._lock = FrameTree(), threading.Lock()
         topics = ("/tf", "/tf_static")
-        self._subscriptions = [wire.listen(topic, (TRANSFORMS,), self._take, wire.complain) for topic in topics]
+        self._subscriptions = [wire.listen(topic, (TRANSFORMS,), self._take) for topic in topics]
 
     def described(
         self, robot: RobotDescription, scans: tuple[LaserScan, ...], imu: tuple[Imu, ...]

@@ -84,7 +84,7 @@ class RosHardware:
         self._aim: tuple[float, np.ndarray] | None = None  # where velocities sent as trajectories lead, and when [s]
         self._pressed, self._stopped, self._lock = False, "", threading.Lock()
         self._written: float | None = None  # on the monotonic clock [s]; None: the robot stands
-        self._button = wire.listen(EMERGENCY_STOP, (BOOL,), self._press, wire.complain)
+        self._button = wire.listen(EMERGENCY_STOP, (BOOL,), self._press)
         kind = _TRAJECTORY if arm == "trajectory" else NUMBERS
         self._arm = wire.Publisher(f"{controller}/command", kind) if self._capabilities.arm_names else None
         self._base = None if self._capabilities.base_velocity is None else wire.Publisher(base, TWIST)

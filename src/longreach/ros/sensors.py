@@ -15,6 +15,7 @@ from longreach.measurement import PoseMeasurement
 from longreach.robot.description import RobotDescription
 from longreach.ros import wire
 
+_REASONS = 50  # that are counted one by one: some hold a number, and there is no end of those; ours
 Role = Literal["wheels", "lidar", "imu", "fixes", "joints", "wrench"]
 _KINDS: dict[Role, tuple[str, ...]] = {
     "wheels": (JOINT_STATE, ODOMETRY),
@@ -55,12 +56,11 @@ def topic_of(robot: RobotDescription, role: Role) -> str:
 class Sensors:
     """A node's subscriptions to a robot's sensors; what came in waits until it is taken.
 
-    refused: how many messages of each role could not be used; `complaint`: the last of the reasons, a sentence.
+    left_out: how many messages could not be used, by topic and why, as the end of a sentence that starts with "each".
     """
 
     def __init__(self, robot: RobotDescription, roles: Sequence[Role]) -> None:
-        self.refused: Counter[str] = Counter()
-        self.complaint = ""
+        self.left_out: Counter[tuple[str, str]] = Counter()
         self._robot, self._lock, self._named = robot, threading.Lock(), False
         self._waiting: dict[str, list[Any]] = {role: [] for role in roles}
         self._newest: dict[str, float] = {}
@@ -75,7 +75,7 @@ class Sensors:
         }
         self._subscriptions = [
             wire.listen(
-                topic_of(robot, role), _KINDS[role], partial(self._take, role, readers[role]), partial(self._no, role)
+                self.topic(role), _KINDS[role], partial(self._take, role, readers[role]), partial(self._no, role)
             )
             for role in roles
         ]
@@ -93,8 +93,15 @@ class Sensors:
             imu=new.get("imu", ()),
             joints=new.get("joints", ()),
             wrenches=new.get("wrench", ()),
+            remarks=self.remarks,
         )
         return Heard(readings, new.get("fixes", ()))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What could not be used so far, a sentence each: those of a bag with these messages."""
+        with self._lock:
+            return tuple(records.left_out(n, topic, why) for (topic, why), n in self.left_out.items())
 
     def speaks(self, role: Role) -> bool:
         """Whether anything usable has come of a sensor."""
@@ -112,17 +119,17 @@ class Sensors:
     def _take(self, role: Role, read: Callable[[Any], Read | None], message: Any) -> None:
         stamp = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) / 10**9
         if stamp == 0.0:
-            return self._no(role, f"A message of {role} has no stamp; let its driver say when it measured.")
+            return self._no(role, "has no stamp; let its driver say when it measured")
         make = read(message)
         if make is None:  # several nodes share a topic, each with its own joints
             return None
         if isinstance(make, str):
-            return self._no(role, f"A message of {self.topic(role)} {make}.")
+            return self._no(role, make)
         offset = self._offsets.setdefault(role, stamp - wire.now())
         usual = clocks.common_offset(self._offsets)
         if clocks.is_another(offset, usual):
-            off = f"its stamps are {offset - usual:.3f} s off those of the other topics."
-            return self._no(role, f"{self.topic(role)} is on another clock: {off}")
+            off = clocks.seconds(offset - usual)
+            return self._no(role, f"is on another clock: its stamps are {off} off those of the other topics")
         record = make(stamp=stamp)
         with self._lock:
             newest = self._newest.get(role, -1.0)
@@ -130,12 +137,14 @@ class Sensors:
                 self._newest[role] = stamp
                 self._waiting[role].append(record)
                 return None
-        return self._no(role, f"A message of {role} has the stamp {stamp:.6f}, which is not after {newest:.6f}.")
+        return self._no(role, "has a stamp that is not after the one before")
 
-    def _no(self, role: str, reason: str) -> None:
+    def _no(self, role: Role, why: str) -> None:
+        key = self.topic(role), why
         with self._lock:
-            self.refused[role] += 1
-            self.complaint = reason
+            if key not in self.left_out and len(self.left_out) >= _REASONS:
+                key = "other topics", "for another reason"
+            self.left_out[key] += 1
 
     def _wheels(self, message: Any) -> Read | None:
         """Read wheels; where some messages name them, those that do not are somebody else's."""
@@ -144,6 +153,8 @@ class Sensors:
         if self._robot.base is None:
             return None
         found = records.wheels(message, self._robot)
+        if isinstance(found, str):
+            return found
         if found is None or (self._named and not found[0]):
             return None
         self._named = found[0]

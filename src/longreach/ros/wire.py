@@ -181,17 +181,25 @@ class Publisher:
                 self._publisher.publish(packed)
 
 
-def listen(topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refuse: Callable[[str], None]) -> Any:
-    """Call `take` with each message on a topic, from rospy's thread, or `refuse` with what is wrong with it."""
+def listen(
+    topic: str, kinds: tuple[str, ...], take: Callable[[Any], None], refuse: Callable[[str], None] | None = None
+) -> Any:
+    """Call `take` with each message on a topic, from rospy's thread, or `refuse` with why it cannot be used.
+
+    That is the end of a sentence that starts with "it"; where nobody takes it, it goes to the node's log.
+    """
+
+    def say(why: str) -> None:
+        complain(f"A message on {topic} {why}.") if refuse is None else refuse(why)
 
     def unpack(packed: Any) -> None:
         kind = packed._connection_header["type"].replace("/", "/msg/")
         if kind not in kinds:
-            return refuse(f"{topic} is of type {kind}, but {' or '.join(kinds)} is read from it.")
+            return say(f"is of type {kind}, but {' or '.join(kinds)} is read")
         try:
             take(store().deserialize_ros1(_bytes(packed), kind))
         except (LongreachError, SerdeError) as error:
-            refuse(f"A message on {topic} cannot be read: {error}")
+            say(f"cannot be read: {str(error).rstrip('.')}")
 
     return rospy().Subscriber(topic, rospy().AnyMsg, unpack, queue_size=_QUEUE, tcp_nodelay=True)
 

@@ -44,6 +44,11 @@ class RobotClient(Protocol):
         """Whether this client holds the robot, so that its commands count."""
         ...
 
+    @property
+    def role(self) -> str:
+        """Whether this client is an operator, or a watcher, who may look and stop only."""
+        ...
+
     def on_state(self, callback: Callable[[Any], None]) -> Callable[[], None]:
         """Call back with each new state; returns what ends it."""
         ...

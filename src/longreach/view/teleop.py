@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,8 @@ class Teleop:
         self._follower = Follower(server)
         self._scan: tuple[Any, Any, Any] = (None, None, None)  # as it came, its points, and where the base was
         self._ways: deque[tuple[float, np.ndarray]] = deque([(client.state.stamp, q[:3])], maxlen=_RECENT)
+        self._watches = client.role == "watcher"
+        self._remarks = 0  # on the robot's readings, of which a notice was given
         self._unwatch = client.on_state(lambda state: self._ways.append((state.stamp, state.q[:3])))
         self._add_controls()
         if prepare is not None:
@@ -81,6 +83,7 @@ class Teleop:
             "Release the robot", disabled=True, color="gray", hint="It stands, and others can take it."
         )
         self._release.on_click(lambda _: self._try(client.release))
+        self._reset.visible = self._release.visible = not self._watches
         self._add_driving()
         self._add_plans()
         self.record_button = gui.add_button(
@@ -96,19 +99,20 @@ class Teleop:
             "/target", scale=_GIZMO, fixed=True, depth_test=False, line_width=4.0
         )
         self._put_gizmo(client.robot.forward(client.state.q))
+        self.gizmo.visible = not self._watches
         self.gizmo.on_update(self._dragged)
 
     def _add_driving(self) -> None:
         gui = self._server.gui
         if not self.client.robot.base.stop:
             return
-        with gui.add_folder("Drive (hold a key or a button)"):
+        with gui.add_folder("Drive (hold a key or a button)", visible=not self._watches):
             self._pace = gui.add_slider("Speed [m/s]", min=0.05, max=0.8, step=0.05, initial_value=0.3)
             overlay.add_pad(self._server, _BUTTONS)
 
     def _add_plans(self) -> None:
         gui = self._server.gui
-        with gui.add_folder("Tool and plans"):
+        with gui.add_folder("Tool and plans", visible=not self._watches):
             self._drag = gui.add_dropdown("Drag", ("plan first", "follow at once"), hint="What dragging the gizmo does")
             self._method = gui.add_dropdown("Planner", ("task-priority", "sqp"))
             self.run_button = gui.add_button("Run the plan", disabled=True, color="green")
@@ -244,6 +248,7 @@ class Teleop:
         with self._server.atomic():
             if count % 5 == 0:  # first, for they say also that the rest could not be drawn
                 self._show_status(state)
+                self._tell_of_readings(state.remarks)
                 self._notices.show(self._banner(state))
                 if self._recorder is not None and self._recorder.error:
                     self._try(self.record)
@@ -283,9 +288,14 @@ class Teleop:
         done = f" {100 * state.progress:.0f} %" if state.goal == "follow" else ""
         planning = f" · <b>{text_html(self._busy)}</b>" if self._busy else ""
         words = f"{word}{done}{planning} · held by {held}"
+        if self._watches:
+            words += "<div><b>You watch</b>: you may look, record and press STOP; only operators command it.</div>"
         if self.client.robot.base.stop:
             slow = f"<b>Slowed down</b>: {text_html(state.limited)}" if state.limited else ""
             words += f'<div style="min-height:3em">{slow if state.minds_obstacles else "obstacles not minded"}</div>'
+        if state.remarks:
+            said = "".join(f"<li>{text_html(remark)}</li>" for remark in state.remarks)
+            words += f"<b>Its readings are not as they should be</b><ul>{said}</ul>"
         text = f'<div style="{_STATUS}">{words}</div>'
         if self._status.content != text:
             self._status.content = text
@@ -293,13 +303,21 @@ class Teleop:
             if button.disabled != disabled:
                 button.disabled = disabled
 
+    def _tell_of_readings(self, remarks: Sequence[str]) -> None:
+        """Give a notice of what is new; the panel shows what lasts."""
+        for remark in remarks[self._remarks :]:
+            self._tell("The robot's readings", remark)
+        self._remarks = len(remarks)
+
     def _banner(self, state: Any) -> tuple[str, str] | None:
         """Return what everybody at the page must know: that the robot is stopped, and what to do."""
         since = state.stamp - state.stopped_at
         if not state.stop or (since < _LASTING and not state.latched):
             return None
         by = f" by {state.stopped_by}" if state.stopped_by else ""
-        if state.latched:
+        if state.latched and self._watches:
+            then = "An operator has to clear the stop."
+        elif state.latched:
             then = f"'{_CLEAR}' lets it take commands again; nothing moves by itself."
         else:
             then = "It takes commands again when the cause has gone."

@@ -4,6 +4,7 @@
 """
 
 import getpass
+import logging
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from jaxtyping import Float
 
 from longreach.configuration import ConfigurationTrajectory
 from longreach.control.hardware import Capabilities, Command, GripperCommand, Readings, capabilities_of
+from longreach.control.safety_checks import NOT_HEARD
 from longreach.errors import LiveError, PlanningError
 from longreach.geometry import se3
 from longreach.io import messages
@@ -32,8 +34,10 @@ from longreach.reference import Reference
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 Method = Literal["task-priority", "sqp"]
+_LOG = logging.getLogger("longreach.live")
 _PATIENCE = 5.0  # with a plan that does not get on [s]
 _CONFIRMED = 1.0  # for how long we wait until the robot says that it has done what it was asked for [s]
+_CUT = 60.0  # for how long a network may be cut until execute gives up to resume [s]
 _SETTLING = 1.0  # for how long it may take, after the end of a plan, until the robot is there [s]
 _SILENT = 1.0  # who was not heard for so long is to be named [s]
 _GONE = 5.0  # who was not heard for so long has gone, as for `connect` [s]
@@ -67,10 +71,8 @@ def connect(
         with explained():
             client = Client(connection, name or _own_name())
         connection.start()
-        if (
-            client._subscriber.wait(lambda: client._subscriber.tick_status and client._subscriber.state, timeout)
-            is None
-        ):
+        heard = client._subscriber
+        if heard.wait(lambda: heard.tick_status and heard.state, timeout) is None:
             raise LiveError(f"The robot at {address} has not said within {timeout:g} s where it is.")
     except BaseException:
         connection.close()
@@ -133,6 +135,11 @@ class Client:
     def age(self) -> float:
         """How long ago the newest state came [s]; the robot is to be taken for silent beyond 0.25 s."""
         return time.monotonic() - self._subscriber.heard
+
+    @property
+    def role(self) -> str:
+        """What the robot takes us for: an operator, or a watcher, who may look and stop only."""
+        return self._connection.role
 
     @property
     def offset(self) -> float:
@@ -259,11 +266,13 @@ class Client:
         return plan
 
     def execute(
-        self, trajectory: ConfigurationTrajectory, wait: bool = True, timeout: float | None = None
+        self, trajectory: ConfigurationTrajectory, wait: bool = True, timeout: float | None = None, resume: bool = False
     ) -> LiveState:
         """Let the robot follow a trajectory of all its joints; with `wait` return when it is where that ends.
 
         There is within 5 mrad of each joint of the arm, and 1 cm and 0.5° of the base, by the robot's own estimate.
+        resume: where the network was cut on the way, and is back within a minute, command what is left of it, from
+        where the robot stands; the log says so. The robot itself never goes on.
 
         Raises:
             LiveError: the robot refuses it, was stopped on the way, or does not arrive; the sentence says why, and how
@@ -271,9 +280,23 @@ class Client:
         """
         if not isinstance(trajectory, ConfigurationTrajectory):
             raise LiveError("Give execute a trajectory, as plan returns it.")
-        return self._execute(
-            trajectory, wait, timeout, lambda state: _joints_away(self._robot, state.q, trajectory.q[-1])
-        )
+        end, since = trajectory.q[-1], self.state.stamp
+        while True:
+            try:
+                return self._execute(trajectory, wait, timeout, lambda state: _joints_away(self._robot, state.q, end))
+            except LiveError:
+                if not (wait and resume and self._is_back(since)):
+                    raise
+                state = self.state
+                done, since = state.progress, state.stamp
+                trajectory = motions.what_is_left(self._robot, trajectory, state.q, done)
+                _LOG.warning("The network was cut when %.0f %% was done; what is left is commanded now.", 100 * done)
+
+    def _is_back(self, since: float) -> bool:
+        """Whether a cut has ended a goal after a stamp [s], and the robot is heard again and may be commanded."""
+        heard = self._subscriber.wait(lambda: self.age < _SILENT and self.state.stamp > since, _CUT)
+        self._subscriber.wait(lambda: not self.state.stop, _PATIENCE)
+        return bool(heard and self.state.why.startswith(NOT_HEARD) and not self.state.stop)
 
     def _execute(
         self,

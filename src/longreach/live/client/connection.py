@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
@@ -87,6 +88,11 @@ class Connection:
     def offset(self) -> float:
         """The robot's clock less `time.time()` of this machine [s], by the ping that came back fastest."""
         return min(self._pings)[1] if self._pings else 0.0
+
+    @cached_property
+    def role(self) -> str:
+        """What the robot takes us for, operator or watcher; it is asked once. Raises LiveError: no answer."""
+        return self.order("role")
 
     @property
     def now(self) -> float:

@@ -84,6 +84,23 @@ def to_pose(
     return trajectory
 
 
+def what_is_left(
+    robot: MobileManipulator, plan: ConfigurationTrajectory, q: Float[np.ndarray, " n"], progress: float
+) -> ConfigurationTrajectory:
+    """Return the rest of a plan of which a part, 0 to 1, is done, from rest at q (n,) straight back to where it was."""
+    at = plan.stamps[0] + min(progress, 1.0) * plan.duration
+    rows = plan.stamps > at
+    there = sample(plan, np.array([at]))[0][0]
+    back = straight(robot, q, there)
+    if not rows.any():
+        return back
+    path = np.vstack([there, plan.q[rows]]) + (back.q[-1] - there)  # whole turns
+    rest = eased(ConfigurationTrajectory(np.append(at, plan.stamps[rows]), path, plan.joint_names))
+    stamps = np.append(back.stamps, back.duration + (rest.stamps[1:] - rest.stamps[0]))
+    velocities = np.vstack([back.velocities, rest.velocities[1:]])
+    return ConfigurationTrajectory(stamps, np.vstack([back.q, rest.q[1:]]), robot.joint_names, velocities)
+
+
 def _to_nimble_end(
     robot: MobileManipulator, q: Float[np.ndarray, " n"], reference: Reference
 ) -> ConfigurationTrajectory:

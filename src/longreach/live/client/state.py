@@ -24,7 +24,8 @@ class LiveState:
     when; stopped_by: which client has stopped it, empty where none did.
     holder: the name of the client that commands it, empty where none does. refused: how many messages the robot has
     refused so far, whoever sent them. why: why the last goal has ended early. limited: what the laser sees that slows
-    the base down. minds_obstacles: whether it is slowed down at all.
+    the base down. minds_obstacles: whether it is slowed down at all. remarks: what is wrong with the robot's readings,
+    a sentence each.
     """
 
     stamp: float
@@ -50,3 +51,4 @@ class LiveState:
     why: str = ""
     limited: str = ""
     minds_obstacles: bool = False
+    remarks: tuple[str, ...] = ()

@@ -3,7 +3,7 @@
 import logging
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -24,11 +24,13 @@ from longreach.live.protocol.message_header import unpack_header
 from longreach.live.protocol.topics import Sensed, Topic
 from longreach.live.protocol.transport import zenoh
 from longreach.measurement import LaserScan
+from longreach.robot.description import RobotDescription
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _WAITING = 10_000  # messages that are not looked at yet
 _STAMP = slice(4, 12)  # of a message with a header: where its stamp is in CDR, behind four bytes that say what it is
 _KEPT = 1000  # readings of a kind that nobody has asked for
+_REMARKS = 20  # on the robot's readings
 
 _T = TypeVar("_T")
 _LOG = logging.getLogger("longreach.live")
@@ -41,6 +43,11 @@ def _call(callbacks: list[Callable[[_T], None]], value: _T) -> None:
             callback(value)
         except Exception:
             _LOG.exception("A callback has failed.")
+
+
+def _wheels(robot: RobotDescription, message: Any) -> Any:
+    found = records.wheels(message, robot)
+    return found[1] if isinstance(found, tuple) else found
 
 
 def _stamp(payload: bytes) -> float:
@@ -79,6 +86,7 @@ class Subscriber:
         }
         self._session, self._senses, self._reading = session, False, Lock()
         self._taps: list[Callable[[str, str, bytes, float], None]] = []
+        self._left_out: Counter[tuple[str, str]] = Counter()
         self._clock = 0.0  # the stamp of the newest tick [s]
         self._waiting: SimpleQueue[Any] = SimpleQueue()
         self._thread = Thread(target=self._hear, name="hearing", daemon=True)
@@ -117,7 +125,7 @@ class Subscriber:
             return
         self._senses, robot, sensed = True, self.robot.description, self.sensed
         makes: dict[str, tuple[Topic, Callable[[Any], Any]]] = {
-            "wheels": (sensed.wheels, lambda message: (records.wheels(message, robot) or (False, None))[1]),
+            "wheels": (sensed.wheels, partial(_wheels, robot)),
             "imu": (sensed.imu, records.imu),
             "wrenches": (sensed.wrench, records.wrench),
         }
@@ -184,13 +192,18 @@ class Subscriber:
         self._take_reading(
             "scans", self.sensed.scans, lambda m: records.laser_scan(m, self.robot.description.lidar), payload
         )
-        self.scan = scan = self._new["scans"][-1]
-        _call(self.on_scan, scan)
+        scan = self._new["scans"][-1] if self._new["scans"] else None
+        if scan is not None and scan is not self.scan:
+            self.scan = scan
+            _call(self.on_scan, scan)
 
     def _take_reading(self, kind: str, topic: Topic, make: Callable[[Any], Any], payload: bytes) -> None:
         message = topic.unpack(payload)
         made = make(message)
-        if made is not None and not isinstance(made, str):
+        if isinstance(made, str):
+            with self._reading:
+                self._left_out[topic.name, made] += 1
+        elif made is not None:
             self._new[kind].append(made(stamp=commands.stamp_of(message)))
 
     def _take_arm(self, payload: bytes) -> None:
@@ -237,11 +250,13 @@ class Subscriber:
         return state
 
     def readings(self, stamp: float) -> Readings:
-        """Return what has come since the last call."""
-        taken = {}
+        """Return what has come since the last call; remarks: what could not be used since the start."""
+        taken: dict[str, Any] = {}
         for kind, new in self._new.items():
             with self._reading:
                 taken[kind] = tuple(new.popleft() for _ in range(len(new)))
+        with self._reading:
+            taken["remarks"] = tuple(records.left_out(n, topic, why) for (topic, why), n in self._left_out.items())
         return replace(Readings(stamp), **taken)
 
     def is_this_thread(self) -> bool:
@@ -291,5 +306,6 @@ def made_state(
         stop=status.get("stop", ""), latched=status.get("latched") == "1", cause=status.get("cause", ""),
         stopped_by=status.get("by", ""), stopped_at=float(status.get("since") or 0.0),
         holder=status.get("holder", ""), refused=int(status.get("refused") or 0), why=status.get("why", ""),
+        remarks=tuple(status.get("remarks", "").splitlines()[:_REMARKS]),
         limited=status.get("limit", ""), minds_obstacles=bool(status.get("obstacles")),
     )  # fmt: skip

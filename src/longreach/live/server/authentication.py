@@ -1,6 +1,7 @@
 """Who comes in: every message of a client is checked here before anything believes it, and rejections are counted.
 
-A message is signed with the key of its sender's role. A watcher's may ask for a stop, an operator's for anything.
+A message is signed with the key of its sender's role. A watcher's may ask for a stop and its role, an operator's for
+anything.
 """
 
 import hmac
@@ -11,7 +12,7 @@ from typing import Any
 from longreach.live.protocol import topics
 from longreach.live.protocol.message_header import MessageHeader, authentication, unpack_header
 from longreach.live.protocol.topics import Topic
-from longreach.live.protocol.transport import OPERATOR
+from longreach.live.protocol.transport import OPERATOR, WATCHER
 from longreach.rejection_counts import RejectionCounts
 
 _NUMBERS = 1024  # that are remembered, of senders on topics
@@ -57,7 +58,7 @@ class Authentication:
             message = topic.unpack(data)
         except Exception:
             raise Rejected("malformed") from None
-        if role != OPERATOR and not (topic is topics.ORDER and message.data.split(" ")[0] == "stop"):
+        if role != OPERATOR and not (topic is topics.ORDER and message.data.split(" ")[0] in ("stop", "role")):
             raise Rejected("from a watcher, who may look and stop only")
         self._numbers[about.sender, topic.key] = about.number
         self._numbers.move_to_end((about.sender, topic.key))
@@ -71,3 +72,8 @@ class Authentication:
             if hmac.compare_digest(mac, authentication(key, self._nonce, topic.key, header, data)):
                 return role
         raise Rejected("not authentic")
+
+
+def is_watcher(about: MessageHeader) -> bool:
+    """Whether a watcher has signed a message, by its header as `Authentication` returns it."""
+    return about.sender.startswith(WATCHER.encode()) and len(about.sender) > 16  # of which a sender has no more

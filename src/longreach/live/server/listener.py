@@ -18,7 +18,8 @@ from longreach.errors import LiveError, LongreachError
 from longreach.live.protocol import commands, topics
 from longreach.live.protocol.message_header import MessageHeader
 from longreach.live.protocol.topics import TYPES, Topic
-from longreach.live.server.authentication import Authentication, Rejected
+from longreach.live.protocol.transport import OPERATOR, WATCHER
+from longreach.live.server.authentication import Authentication, Rejected, is_watcher
 from longreach.robot.mobile_manipulator import MobileManipulator
 
 _LOG = logging.getLogger("longreach.live")
@@ -183,6 +184,8 @@ class Listener:
                 self.stopped_by = self.holder.name if holds else "a client that does not hold the robot"
                 self._set(goal=Hold(), gripper=None, stop=self.stopped)
                 return ""
+            if word == "role":
+                return WATCHER if is_watcher(about) else OPERATOR
             if word == "take":
                 self._give(about, commands.one_line(rest, _NAME) or "somebody")
                 return ""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from longreach.app.goals import Follow
+from longreach.app.readings_check import ReadingsCheck
 from longreach.app.robot_side import Orders, TickRecord
 from longreach.app.tracker import TrackerConfig
 from longreach.io import messages
@@ -77,6 +78,8 @@ class Server:
         self._published = time.monotonic()
         self._progress, self._plans = 0.0, 0
         self._status, self._status_due, self._frames_due = "", 0.0, 0.0
+        lidar = robot.description.lidar
+        self._check = ReadingsCheck(robot.description, lidar is not None and lidar.mount is not None)
         self.rejections = rejections or RejectionCounts()
         keys = config.role_keys()
         self._session = open_server(config.address, config.token, config.certificates, config.watcher_token)
@@ -121,6 +124,7 @@ class Server:
 
     def publish(self, record: TickRecord) -> None:
         """Say what one tick knew and did."""
+        self._check.take(record.readings, record.state.given)
         if self._record is None:
             self._say(topics.TF_STATIC, publisher.static_frames(self._robot, record.tick.stamp), record.tick.stamp)
         if record.readings.joints:
@@ -148,8 +152,8 @@ class Server:
         holder, stop = self._listener.holder, record.tick.stop
         around, ended = record.state.gate.obstacles, record.state.why
         limited = around is not None and around.nearest is not None
-        halted = stop and (stop.cause, stop.since)
-        what = f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {halted} {ended} {limited}"
+        halted, remarks = stop and (stop.cause, stop.since), "\n".join(self._check.remarks)
+        what = f"{publisher.goal_name(record)} {self._plans} {holder.sender.hex()} {halted} {ended} {limited} {remarks}"
         if what == self._status and now < self._status_due:
             return
         self._status, self._status_due = what, now + _STATUS_EVERY - 1e-6
@@ -160,6 +164,7 @@ class Server:
             "progress": f"{self._progress:.6f}",
             "by": self._listener.stopped_by if stop is not None and stop.reason == self._listener.stopped else "",
             "refused": str(self.rejections.total),
+            "remarks": remarks,
         }
         self._say(topics.STATUS, publisher.status(record, values), now)
 
