@@ -25,9 +25,6 @@ from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geome
 FAR = 10.0  # [m] from the nearest keyframe: beyond it a pose is off the map
 _REACH, _MOST = 4.0, 20  # [m] about a keyframe, and how many of the others there make its reference
 _KEPT = 128  # references
-# Matches of neighbouring keyframes share scans, so that their residuals show only a part of their errors: fits to a map
-# are alike over five of them, in simulated rooms. And less than this part of its variances no graph can be shown to be.
-_NEIGHBOURS, _LEAST_FACTOR = 3.0, 0.01
 _FEWEST = 12  # returns of a scan that shows a place
 
 
@@ -122,13 +119,5 @@ def covariances_of(map_: Map) -> Float[np.ndarray, "n 3 3"]:
     V = np.einsum("kba,kbc->ac", W, C)
     part = C @ Ad.transpose(0, 2, 1)
     S = S - part - part.transpose(0, 2, 1) + Ad @ V @ Ad.transpose(0, 2, 1)
-    return _variance_factor(solved) * 0.5 * (S + S.transpose(0, 2, 1))
+    return 0.5 * (S + S.transpose(0, 2, 1))
 
-
-def _variance_factor(solved: solver.Solved) -> float:
-    """Return how much smaller than stated the variances of a graph's edges are, by what is left of them; at most 1."""
-    weights = np.concatenate([np.ones(len(solved.graph.odometry)), solved.weights])
-    dof = 3 * (weights.sum() - np.count_nonzero(~solved.factor.fixed))
-    if not dof > 0:
-        return 1.0
-    return float(np.clip(_NEIGHBOURS * np.sum(weights * solved.chi2) / dof, _LEAST_FACTOR, 1.0))
