@@ -116,13 +116,12 @@ def estimate(
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
     alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in done.sources else ()
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
-    verdict, said = plausibility.verdict(done.output.corrections), list[str]()
+    verdict, said, on_map = plausibility.verdict(done.output.corrections), list[str](), None
     if known is not None:
         laser = sensor_mount(recording, robot, "lidar")
-        given, corrections, said = map_localization.followed(
-            known, laser, recording.scans, done.output.rows, start, tell
-        )
-        estimated["localized"] = _path([Row(*row) for row in given])
+        on_map = map_localization.followed(known, laser, recording.scans, done.output.rows, start, tell)
+        given, corrections, said = on_map
+        estimated["localized"] = _path([Row(row.stamp, row.pose, row.covariance) for row in given])
         done = done._replace(output=done.output._replace(corrections=[*done.output.corrections, *corrections]))
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
@@ -138,8 +137,8 @@ def estimate(
     }
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    if map is not None:
-        evaluation = map_localization.judged(evaluation, map)
+    if map is not None and on_map is not None:
+        evaluation = map_localization.judged(evaluation, map, on_map)
     metrics = _with_consistency(evaluation, done, {SOURCE, *(fix.source for fix in recording.fixes)})
     remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *said, *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)

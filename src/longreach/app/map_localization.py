@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,7 +143,14 @@ def followed(
         some = [scan for scan in scans if part[0].stamp <= scan.stamp <= part[-1].stamp]
         state, on_map, said = global_start.step(state, some, part)
         given, corrections = given + on_map, corrections + said
-    return OnMap(given, corrections, [*_searched(state, rows, given), *_remarks(corrections)])
+    ordinary = [c for c in corrections if not c.reason.startswith((global_start.LOST, global_start.FOUND))]
+    said = [*_searched(state, rows, given), *_remarks(ordinary), *_lost(given, corrections)]
+    return OnMap(given, corrections, said)
+
+
+def _seconds_lost(rows: Sequence[MapRow]) -> float:
+    """Return for how long rows are lost [s]."""
+    return math.fsum(b.stamp - a.stamp for a, b in pairwise(rows) if a.lost)
 
 
 def _searched(state: global_start.GlobalStartState, rows: Sequence[PathRow], given: Sequence[MapRow]) -> list[str]:
@@ -172,14 +180,36 @@ def _remarks(corrections: Sequence[Correction]) -> list[str]:
         )
     if corrections and not any(c.status == "used" for c in corrections):
         remarks.append("No scan fits the map where the base was said to start: `localized` is odometry from there.")
-    for c in [c for c in corrections if c.status == "used" and c.reason][:_TELLS]:
+    again = [c for c in corrections if c.status == "used" and c.reason]
+    for c in again[:_TELLS]:
         size = 1e3 * float(np.hypot(*c.innovation[:2]))
         remarks.append(f"map: at {c.stamp:.2f} s a fit {size:.0f} mm off was {c.reason}.")
     return remarks
 
 
-def judged(evaluation: Evaluation, map_: Map) -> Evaluation:
-    """Hold `localized` against the truth: carried there as the mapping run was, else by what fits best."""
+def _lost(rows: Sequence[MapRow], corrections: Sequence[Correction]) -> list[str]:
+    """Say when the base was lost, and when it was found again."""
+    alarms = [c for c in corrections if c.reason.startswith(global_start.LOST)]
+    found = [c for c in corrections if c.reason.startswith(global_start.FOUND)]
+    remarks = [f"map: at {c.stamp:.2f} s {c.reason}." for c in alarms[:_TELLS]]
+    for c in found[:_TELLS]:
+        off = float(np.hypot(*c.innovation[:2]))
+        remarks.append(f"map: at {c.stamp:.2f} s {c.reason}, {off:.2f} m from where odometry had it.")
+    if len(alarms) > _TELLS:
+        remarks.append(f"map: it was lost {len(alarms)} times.")
+    if rows and rows[-1].lost:
+        remarks.append("map: at the end the base is lost: `localized` is odometry from then on.")
+    return remarks
+
+
+def judged(evaluation: Evaluation, map_: Map, on_map: OnMap) -> Evaluation:
+    """Say for how long `localized` was lost, and hold it against the truth: carried there as the mapping run was, else
+    by what fits best.
+    """
+    if "localized" in evaluation.metrics:
+        lost = {"lost": {"value": _seconds_lost(on_map.rows), "unit": "s"}}
+        own = {**evaluation.metrics["localized"], **lost}
+        evaluation = replace(evaluation, metrics={**evaluation.metrics, "localized": own})
     localized, truth = evaluation.trajectories.get("localized"), evaluation.trajectories.get("truth")
     if localized is None or truth is None or len(localized) < 2:
         return evaluation

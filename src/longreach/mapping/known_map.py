@@ -4,20 +4,25 @@ The covariance of a keyframe is that against the frame in which the whole map fi
 trajectory to its truth takes it: against its first keyframe alone, all the others share the error of that one.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from longreach.errors import MappingError
 from longreach.geometry import se2
+from longreach.mapping import _evidence_kernels as evidence_kernels
+from longreach.mapping import _occupancy_kernels as occupancy_kernels
 from longreach.mapping import solver
 from longreach.mapping.keyframes import MATCHER
 from longreach.mapping.map_file import Map
 from longreach.mapping.pose_graph import adjoints, information, jacobians, residuals
 from longreach.measurement import LaserScan
 from longreach.odometry import local_map
+from longreach.odometry._local_map_kernels import CELL
 from longreach.odometry.local_map import LocalMap
 from longreach.odometry.matchers.scan_matcher import Features
 from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geometry, share_of_a_beam
@@ -25,7 +30,34 @@ from longreach.odometry.scan_geometry import ScanGeometry, same_kind, scan_geome
 FAR = 10.0  # [m] from the nearest keyframe: beyond it a pose is off the map
 _REACH, _MOST = 4.0, 20  # [m] about a keyframe, and how many of the others there make its reference
 _KEPT = 128  # references
+_RUN = 2  # neighbouring beams that contradict a map: a single one grazes an edge
+_PASSES_A_HIT = 3  # beams through a cell that weigh as much as one that ends in it
 _FEWEST = 12  # returns of a scan that shows a place
+
+
+class Evidence(NamedTuple):
+    """Of so many beams of a scan those that a map explains, and that contradict it; there the others see is unknown."""
+
+    explained: int
+    against: int
+    beams: int
+
+    @property
+    def share(self) -> float:
+        """Of these beams, those that are explained, more than 0 and less than 1."""
+        return (self.explained + 0.5) / (self.explained + self.against + 1.0)
+
+    @property
+    def covered(self) -> float:
+        """The share of the beams that end or pass where the map knows something."""
+        return (self.explained + self.against) / max(self.beams, 1)
+
+
+class Space(NamedTuple):
+    """Cells (n, m) of `CELL`, free, occupied or unknown, as `_evidence_kernels` numbers them, from a corner (2,)."""
+
+    corner: Float[np.ndarray, "2"]
+    cells: UInt8[np.ndarray, "n m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +73,35 @@ class KnownMap:
     def surfaces(self) -> tuple[local_map.Keyframe, ...]:
         """What each keyframe sees, at its pose on the map."""
         return tuple(local_map.keyframe(f, pose) for f, pose in zip(self.features, self.poses, strict=True))
+
+    @cached_property
+    def space(self) -> Space:
+        """What is known to be free or occupied, by the beams of all keyframes."""
+        ends, starts = [], []
+        for f, (x, y, t) in zip(self.features, self.poses.tolist(), strict=True):
+            c, s = math.cos(t), math.sin(t)
+            p, d = f.values[:2], f.values[:2] - f.values[2:4] * f.values[4]
+            for to, (px, py) in ((ends, p), (starts, d)):
+                to.append(np.column_stack([x + c * px - s * py, y + s * px + c * py]))
+        start, end = np.concatenate(starts) / CELL, np.concatenate(ends) / CELL
+        low = np.floor(np.minimum(start.min(axis=0), end.min(axis=0))) - 1
+        size = tuple((np.ceil(np.maximum(start.max(axis=0), end.max(axis=0))) - low + 2).astype(int).tolist())[::-1]
+        hits, passes = np.zeros(size, np.int32), np.zeros(size, np.int32)
+        occupancy_kernels.trace(start - low, end - low, np.ones(len(end), bool), hits, passes)
+        cells = np.where(passes > 0, evidence_kernels.FREE, evidence_kernels.UNKNOWN)
+        cells[_PASSES_A_HIT * hits > passes] = evidence_kernels.OCCUPIED
+        return Space(low * CELL, np.ascontiguousarray(cells.T.astype(np.uint8)))
+
+    def evidence(self, k: int, scan: Features, pose: Float[np.ndarray, "3"]) -> Evidence:
+        """Compare the beams of a scan at a pose (3,) on the map with what the keyframes about keyframe k see."""
+        reference, verdicts = self.reference(k), np.empty(scan.count, np.int64)
+        gate = MATCHER.settings.gate * min(scan.noise, 1.2 * reference.noise)  # as the matcher's
+        at, (corner, cells) = se2.between(self.poses[k], pose), self.space
+        evidence_kernels.judge_beams(
+            scan.values, scan.count, max(gate, 0.5 * CELL), at, reference.surfaces, pose, corner, cells, verdicts
+        )
+        explained, against = evidence_kernels.count_beams(verdicts, _RUN)
+        return Evidence(explained, against, scan.count)
 
     def nearest(self, pose: Float[np.ndarray, "3"]) -> tuple[int, float]:
         """Return the keyframe nearest to a pose, and how far away it is [m]."""
@@ -120,4 +181,3 @@ def covariances_of(map_: Map) -> Float[np.ndarray, "n 3 3"]:
     part = C @ Ad.transpose(0, 2, 1)
     S = S - part - part.transpose(0, 2, 1) + Ad @ V @ Ad.transpose(0, 2, 1)
     return 0.5 * (S + S.transpose(0, 2, 1))
-
