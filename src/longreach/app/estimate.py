@@ -24,6 +24,7 @@ from longreach.localization.config import Source, filter_for
 from longreach.localization.localizer import LocalizerState, Output, Reading, Row
 from longreach.mapping.map_file import Map
 from longreach.mapping.map_localizer import SOURCE
+from longreach.mapping.occupancy import Occupancy
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
@@ -83,7 +84,7 @@ def estimate(
     *,
     truth: PoseTrajectory | None = None,
     relations: Relations | None = None,
-    map: Map | None = None,
+    map: Map | Occupancy | None = None,
     start: Start | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
@@ -95,7 +96,8 @@ def estimate(
     Arguments:
         config: None takes the defaults. truth: None takes the recording's own, where it has one.
         relations: stamps_1 (m,), stamps_2 (m,) [s] as recorded and relative poses (m, 3) [m, m, rad].
-        map: in which to localise, in place of fixes. start: where the base is on it at first; None: it is searched for.
+        map: in which to localise, in place of fixes; an occupancy grid serves, too. start: where the base is on it at
+            first; None: it is searched for.
         progress: called with the name of a stage and how far it is, 0 to 1.
 
     Raises:

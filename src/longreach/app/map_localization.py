@@ -20,6 +20,7 @@ from longreach.mapping.known_map import KnownMap
 from longreach.mapping.map_file import Map, load_map
 from longreach.mapping.map_localizer import MapRow
 from longreach.mapping.mapper import PathRow
+from longreach.mapping.occupancy import Occupancy, read_map_server
 from longreach.measurement import LaserScan, Recording
 from longreach.robot.description import RobotDescription
 
@@ -86,35 +87,43 @@ def opened_file(path: Path | None, start: str | None, fixes: Path | None = None)
         return {}
     if fixes is not None:
         raise MappingError("A map and fixes both say where the base is; give --map or --fixes.")
-    return {"map": load_map(path), "start": parsed_start(start or "global")}
+    read = read_map_server if path.suffix in (".yaml", ".yml") else load_map
+    return {"map": read(path), "start": parsed_start(start or "global")}
 
 
-def opened(map_: Map, robot: RobotDescription, recording: Recording, start: Start | None) -> KnownMap:
+def opened(map_: Map | Occupancy, robot: RobotDescription, recording: Recording, start: Start | None) -> KnownMap:
     """Prepare a map for the scans of a recording, and a start on it.
 
     Raises:
         MappingError: the map is of another robot or scanner, or shows nothing; no scan is there; the start is off it.
     """
-    scans = recording.scans
+    if not recording.scans:
+        raise MappingError(f"{recording.name} has no scans; to localise in a map takes a LIDAR's.")
+    if isinstance(map_, Map):
+        _check_fits(map_, robot, recording)
+        known = known_map.prepared(map_)
+    else:
+        known = known_map.drawn(map_)
+    if start is not None:
+        map_localizer.init(known, np.eye(4), start.pose, start.covariance)
+    return known
+
+
+def _check_fits(map_: Map, robot: RobotDescription, recording: Recording) -> None:
+    """Refuse a map of another robot or scanner."""
     robots = sorted({session.robot for session in map_.sessions})
     if robot.name not in robots:
         raise MappingError(
             f"The map is of {', '.join(robots)}, and the recording of {robot.name}; give a map that this robot made."
         )
-    if not scans:
-        raise MappingError(f"{recording.name} has no scans; to localise in a map takes a LIDAR's.")
     kinds = {(len(scan.ranges), round(scan.angle_increment, 6)) for scan in map_.scans}
-    beams, step = kind = len(scans[0].ranges), round(scans[0].angle_increment, 6)
+    beams, step = kind = len(recording.scans[0].ranges), round(recording.scans[0].angle_increment, 6)
     if kind not in kinds:
         n, other = sorted(kinds)[0]
         raise MappingError(
             f"The map was made with a scanner of {n} beams {math.degrees(other):.3g}° apart, and this one has {beams}, "
             f"{math.degrees(step):.3g}° apart; give a map that this scanner made."
         )
-    known = known_map.prepared(map_)
-    if start is not None:
-        map_localizer.init(known, np.eye(4), start.pose, start.covariance)
-    return known
 
 
 def followed(
@@ -202,7 +211,7 @@ def _lost(rows: Sequence[MapRow], corrections: Sequence[Correction]) -> list[str
     return remarks
 
 
-def judged(evaluation: Evaluation, map_: Map, on_map: OnMap) -> Evaluation:
+def judged(evaluation: Evaluation, map_: Map | Occupancy, on_map: OnMap) -> Evaluation:
     """Say for how long `localized` was lost, and hold it against the truth: carried there as the mapping run was, else
     by what fits best.
     """
@@ -213,7 +222,7 @@ def judged(evaluation: Evaluation, map_: Map, on_map: OnMap) -> Evaluation:
     localized, truth = evaluation.trajectories.get("localized"), evaluation.trajectories.get("truth")
     if localized is None or truth is None or len(localized) < 2:
         return evaluation
-    motion, remarks = map_.T_truth_map, evaluation.remarks
+    motion, remarks = map_.T_truth_map if isinstance(map_, Map) else None, evaluation.remarks
     if motion is None:
         motion = carried_to_truth(evaluation, "localized")
         said = (

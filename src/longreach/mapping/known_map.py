@@ -19,6 +19,7 @@ from longreach.mapping import _occupancy_kernels as occupancy_kernels
 from longreach.mapping import solver
 from longreach.mapping.keyframes import MATCHER
 from longreach.mapping.map_file import Map
+from longreach.mapping.occupancy import Occupancy
 from longreach.mapping.pose_graph import adjoints, information, jacobians, residuals
 from longreach.measurement import LaserScan
 from longreach.odometry import local_map
@@ -32,6 +33,8 @@ _REACH, _MOST = 4.0, 20  # [m] about a keyframe, and how many of the others ther
 _KEPT = 128  # references
 _RUN = 2  # neighbouring beams that contradict a map: a single one grazes an edge
 _PASSES_A_HIT = 3  # beams through a cell that weigh as much as one that ends in it
+# Of places from which a grid is looked at: their distance and free space about them [m], beams, how far they reach [m].
+_SPACING, _ROOM, _DRAWN, _FARTHEST = 1.0, 0.3, 720, 20.0
 _FEWEST = 12  # returns of a scan that shows a place
 
 
@@ -62,11 +65,17 @@ class Space(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KnownMap:
-    """Keyframes at poses T_map_base (n, 3) with covariances (n, 3, 3) of ξ, and what each sees in the base's frame."""
+    """Keyframes at poses T_map_base (n, 3) with covariances (n, 3, 3) of ξ, and what each sees in the base's frame.
+
+    cell [m]: of the grid from which surfaces are, 0 where they are of scans. rough (3, 3): covariance of an error that
+    fits about one place share because of it.
+    """
 
     poses: Float[np.ndarray, "n 3"]
     covariances: Float[np.ndarray, "n 3 3"]
     features: tuple[Features, ...]
+    cell: float = 0.0
+    rough: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.zeros((3, 3)))
     references: dict[int, LocalMap] = field(default_factory=dict)  # a cache: what is in it follows from the rest
 
     @cached_property
@@ -98,7 +107,15 @@ class KnownMap:
         gate = MATCHER.settings.gate * min(scan.noise, 1.2 * reference.noise)  # as the matcher's
         at, (corner, cells) = se2.between(self.poses[k], pose), self.space
         evidence_kernels.judge_beams(
-            scan.values, scan.count, max(gate, 0.5 * CELL), at, reference.surfaces, pose, corner, cells, verdicts
+            scan.values,
+            scan.count,
+            max(gate, 0.5 * CELL) + self.cell,
+            at,
+            reference.surfaces,
+            pose,
+            corner,
+            cells,
+            verdicts,
         )
         explained, against = evidence_kernels.count_beams(verdicts, _RUN)
         return Evidence(explained, against, scan.count)
@@ -139,6 +156,45 @@ def prepared(map_: Map) -> KnownMap:
     if max(f.count for f in features) < _FEWEST:
         raise MappingError("No scan of the map shows anything; map a recording in which the laser sees walls.")
     return KnownMap(map_.graph.poses, covariances_of(map_), tuple(features))
+
+
+def drawn(grid: Occupancy) -> KnownMap:
+    """Prepare an occupancy grid: what a laser would see from places in its free space, every metre.
+
+    A surface lies anywhere in its cell: variance 1/12 of its square. All cells of a wall along the grid are off alike,
+    so that this does not average out over a scan. One half of the variance is taken to be common to the whole map, and
+    one to fits about one place; of the heading, with walls as long as a beam usually is.
+
+    Raises:
+        MappingError: no cell is occupied, or no free place is near one.
+    """
+    from scipy.ndimage import minimum_filter  # here, for it takes long to import
+
+    size, (rows, columns) = grid.resolution, grid.occupied.shape
+    step = max(round(_SPACING / size), 1)
+    r, c = np.meshgrid(np.arange(step // 2, rows, step), np.arange(step // 2, columns, step), indexing="ij")
+    roomy = np.asarray(minimum_filter(grid.free, 2 * math.ceil(_ROOM / size) + 1, mode="constant"))
+    places = np.column_stack([c.ravel(), r.ravel()])[roomy[r, c].ravel()] + 0.5
+    angles = -math.pi + 2.0 * math.pi / _DRAWN * np.arange(_DRAWN)
+    directions, ranges = np.column_stack([np.cos(angles), np.sin(angles)]), np.empty((len(places), _DRAWN))
+    occupancy_kernels.cast(places, directions, grid.occupied, grid.free, _FARTHEST / size, ranges)
+    seen = np.isfinite(ranges).sum(axis=1) >= _FEWEST
+    if not seen.any():
+        raise MappingError("The map is empty: no free cell of its grid sees an occupied one.")
+    shape = -math.pi, 2.0 * math.pi / _DRAWN
+    scans = [LaserScan(0.0, size * beams, *shape, range_max=_FARTHEST) for beams in ranges[seen]]
+    geometry, noise = scan_geometry(scans[0], np.eye(4), 5), size / math.sqrt(12.0)
+    poses = np.column_stack([size * places[seen], np.zeros(seen.sum())])
+    wall = size * float(np.median(ranges[np.isfinite(ranges)]))
+    half = 0.5 * np.diag(np.array([noise, noise, noise / wall]) ** 2)
+    features = (features_of(scan, geometry, np.zeros(3)) for scan in scans)
+    return KnownMap(
+        se2.compose(np.broadcast_to(grid.origin, poses.shape), poses),
+        np.broadcast_to(half, (len(poses), 3, 3)),
+        tuple(replace(found, noise=max(found.noise, noise)) for found in features),
+        cell=size,
+        rough=half,
+    )
 
 
 def features_of(scan: LaserScan, geometry: ScanGeometry, twist: Float[np.ndarray, "3"]) -> Features:

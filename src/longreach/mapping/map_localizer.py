@@ -115,7 +115,7 @@ def init(
             f"goes from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) m; give a start on it."
         )
     P = np.zeros((6, 6))
-    P[:3, :3], P[3:, 3:] = covariance, np.diag(_SHARED**2)
+    P[:3, :3], P[3:, 3:] = covariance, _shared(known, 1.0)
     return MapLocalizerState(known, T_base_laser, np.array(pose, dtype=float), P, np.zeros(3))
 
 
@@ -151,6 +151,11 @@ def _moved(state: MapLocalizerState, row: PathRow) -> tuple[MapLocalizerState, n
     return replace(state, last=row, way=way, turned=turned), se2.log(moved) / (row.stamp - state.last.stamp)
 
 
+def _shared(known: KnownMap, scale: float) -> np.ndarray:
+    """Return the covariance (3, 3) of b."""
+    return scale * np.diag(_SHARED**2) + known.rough
+
+
 def _is_due(state: MapLocalizerState, row: PathRow) -> bool:
     assert state.at is not None
     way, turn, time = _EVERY
@@ -170,7 +175,7 @@ def _predicted(state: MapLocalizerState, row: PathRow) -> tuple[np.ndarray, np.n
     P = F @ P @ F.T
     less = (1.0 - state.scale) * np.diag(DRIFT * max(way, 0.01))
     P[:3, :3] += motion_covariance(state.at[1:], row[1:], way)[0] - less
-    P[3:, 3:] += (1.0 - kept**2) * state.scale * np.diag(_SHARED**2)
+    P[3:, 3:] += (1.0 - kept**2) * _shared(state.known, state.scale)
     return se2.compose(state.pose, moved), kept * state.shared, P
 
 
