@@ -173,8 +173,9 @@ def drawn(grid: Occupancy) -> KnownMap:
     size, (rows, columns) = grid.resolution, grid.occupied.shape
     step = max(round(_SPACING / size), 1)
     r, c = np.meshgrid(np.arange(step // 2, rows, step), np.arange(step // 2, columns, step), indexing="ij")
-    roomy = np.asarray(minimum_filter(grid.free, 2 * math.ceil(_ROOM / size) + 1, mode="constant"))
-    places = np.column_stack([c.ravel(), r.ravel()])[roomy[r, c].ravel()] + 0.5
+    roomy = np.asarray(minimum_filter(grid.free, 2 * math.ceil(_ROOM / size) + 1, mode="constant"), dtype=bool)
+    is_place = roomy[r, c].ravel()
+    places = np.stack([c.ravel() + 0.5, r.ravel() + 0.5], axis=1)[is_place]
     angles = -math.pi + 2.0 * math.pi / _DRAWN * np.arange(_DRAWN)
     directions, ranges = np.column_stack([np.cos(angles), np.sin(angles)]), np.empty((len(places), _DRAWN))
     occupancy_kernels.cast(places, directions, grid.occupied, grid.free, _FARTHEST / size, ranges)
