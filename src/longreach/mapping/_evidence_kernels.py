@@ -9,6 +9,7 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # cells of a grid
 _STEP = 0.05  # [m] along a beam
 _CLEAR = 0.3  # [m] before a return, that may lie in front of its own surface
 _HEAD_ON = 0.3  # cosine between beam and normal: below it, an error of the heading makes a beam graze a wall
+_ASIDE = 0.06  # [m] along a surface from its middle in a cell, which are 0.1 m apart: beyond it there is a gap
 _RETURNS = 3.0  # of a surface: fewer may be somebody who walked by
 
 
@@ -41,8 +42,13 @@ def judge_beams(points, m, tolerance, pose, surfaces, on_map, corner, grid, verd
                 continue
             for layer in range(2):
                 j = cells[blocks[i // SIDE, k // SIDE], i % SIDE, k % SIDE, layer]
-                if j >= 0 and elements[j, 4] >= _RETURNS:
-                    through = through or abs(dx * elements[j, 2] + dy * elements[j, 3]) > _HEAD_ON
+                if j < 0 or elements[j, 4] < _RETURNS:
+                    continue
+                facing, aside = (
+                    dx * elements[j, 2] + dy * elements[j, 3],
+                    dx * (elements[j, 1] - hy) - dy * (elements[j, 0] - hx),
+                )
+                through = through or (abs(facing) > _HEAD_ON and abs(aside) < _ASIDE * abs(facing))
         verdicts[u] = -1
         if through:
             continue

@@ -4,7 +4,7 @@
                as the best, apart from each other
     fit        of the scan to the surfaces about each, and what its beams say there: how many the map explains, how many
                contradict it; where they end in space that the map has not seen they say nothing
-    weights    exp((a tenth of the beams explained − contradictions) / 1 % of the beams), over their sum and that
+    weights    exp((a quarter of the beams explained − contradictions) / 1.5 % of the beams), over their sum and that
                of a place that the map does not show
     settled    one has more than 0.9; else each is tracked while the base drives, and one that falls below 0.01 is out
 
@@ -41,10 +41,10 @@ _LEVER = 10.0  # [m] at which a turn moves a point by a cell
 _APART = 1.0, math.radians(20.0)  # [m, rad] between two places
 _MOST, _PART, _LEAST = 24, 0.75, 0.35  # places at most; agreement of the best one's, and of all points, at least
 _SHARE = 0.5  # of the beams that the map covers, explained at least; a scan of somewhere else has less
-# A place where 2.2 % of the beams more contradict the map keeps the best at 0.9; beams that agree count a tenth of
-# that, for where the map ends they would tell as little as those that it knows nothing of. At a right place 0.3 to
-# 1.5 % contradict it in simulated worlds.
-_AGREES, _SOFT = 0.1, 0.01
+# A place where 3.3 % of the beams more contradict the map keeps the best at 0.9. Places that are the same differ by up
+# to 1.5 % in a simulated world, for the map was made from elsewhere in each. Beams that agree count a quarter of that,
+# for where the map ends they would tell as little as those that it knows nothing of.
+_AGREES, _SOFT = 0.25, 0.015
 # Somewhere that the map does not show explains by chance so much of the beams at the best place, at most: a scan from
 # beyond the map's edge had 0.66 to 0.89 in two worlds. With each further look that stays good it is the less probable.
 _CHANCE, _LESS, _LEAST_CHANCE = 0.85, 0.1, 0.6

@@ -32,7 +32,6 @@ FAR = 10.0  # [m] from the nearest keyframe: beyond it a pose is off the map
 _REACH, _MOST = 4.0, 20  # [m] about a keyframe, and how many of the others there make its reference
 _KEPT = 128  # references
 _RUN = 2  # neighbouring beams that contradict a map: a single one grazes an edge
-_PASSES_A_HIT = 3  # beams through a cell that weigh as much as one that ends in it
 # Of places from which a grid is looked at: their distance and free space about them [m], beams, how far they reach [m].
 _SPACING, _ROOM, _DRAWN, _FARTHEST = 1.0, 0.3, 720, 20.0
 _FEWEST = 12  # returns of a scan that shows a place
@@ -98,7 +97,7 @@ class KnownMap:
         hits, passes = np.zeros(size, np.int32), np.zeros(size, np.int32)
         occupancy_kernels.trace(start - low, end - low, np.ones(len(end), bool), hits, passes)
         cells = np.where(passes > 0, evidence_kernels.FREE, evidence_kernels.UNKNOWN)
-        cells[_PASSES_A_HIT * hits > passes] = evidence_kernels.OCCUPIED
+        cells[hits > 0] = evidence_kernels.OCCUPIED  # by some beam: walls that others graze, and what was there once
         return Space(low * CELL, np.ascontiguousarray(cells.T.astype(np.uint8)))
 
     def evidence(self, k: int, scan: Features, pose: Float[np.ndarray, "3"]) -> Evidence:

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 WINDOW = 8  # fits
 ALARM = 1e-4
-# Usual values before any fit: −ln(share), NIS moving and at rest; mean and variance of windows. They count
-# as much as one fit or three windows. They, and how long is remembered, are of eight simulated drives in four worlds.
-_AT_FIRST, _LOG, _VARIANCE, _WINDOWS = (0.05, 1.0, 0.3), 0.6, 0.1, 3.0
-_REMEMBERED = 30.0  # fits, or windows: older ones fade
+# Usual values before any fit: −ln(share), NIS moving and at rest; mean and variance of windows. They count as much as
+# one fit or two windows. They, and how long is remembered, are of 24 simulated drives in three worlds.
+_AT_FIRST, _MEAN, _VARIANCE, _WINDOWS = (0.015, 0.12, 0.05), 0.6, 0.04, 2.0
+_REMEMBERED = 15.0  # fits, or windows: older ones fade
 _DOF = 7.0  # beside the windows': so many of Student's law at first
 _LEAST, _MOST = 0.05, 50.0  # of a surprise's parts, in what is usual: beyond it all is as bad
 _RARE, _FARTHEST = 5.0, 3.0  # in what is usual, and deviations of a window: what is learned at most
@@ -34,7 +34,7 @@ class LostTest:
     surprises: tuple[float, ...] = ()
     taken: tuple[bool, ...] = ()
     usual: tuple[tuple[float, float], ...] = tuple((value, 1.0) for value in _AT_FIRST)
-    mean: float = _LOG
+    mean: float = _MEAN
     variance: float = _VARIANCE
     windows: float = _WINDOWS
     since: int = 0
