@@ -14,7 +14,7 @@ The frame odom is not touched; T_map_odom moves by corrections alone.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,9 @@ _COVERED, _FEWEST = 0.1, 20  # share of the beams that the map covers, and retur
 _AGREES = 0.5  # share that it explains of those, at least
 _LIMITS = (0.0, 10.83, 13.82, CHI2)  # 99.9 % of χ² by degrees of freedom
 _WIDE = 0.3  # [m] of deviation from where on the window is searched, for a fit alone may end beside it
+# So many fits in a row that the gate refuses agree with the one before, and the map explains their beams as usual, up
+# to a factor of −ln(share): then it is the map that bends, by more than its covariance says, and the pose follows.
+_BENT, _RARE = 3, 3.0
 _NOTHING = 1e4  # variance along what the scan does not show: the odometry's pose there is no measurement
 _FOUND = 0.3  # agreement of the best place in a window, at least
 
@@ -68,7 +71,8 @@ class MapLocalizerState:
 
     pose (3,) and shared (3,), the error b of fits, with P (6, 6) of (ξ, b). at: the path's row then, None before the
     first. way, turned: since then. last: the newest row. waiting: scans whose row has not come. refused: fits in a
-    row. scale: of the variances of b and drift, as learned from so many fits.
+    row; agreeing: of those with the one before, whose innovation is gated. scale: of the variances of b and drift, as
+    learned from so many fits. test: whether the base is here.
     """
 
     known: KnownMap
@@ -86,6 +90,8 @@ class MapLocalizerState:
     learned: int = 0
     geometry: ScanGeometry | None = None
     test: LostTest = UNTESTED
+    agreeing: int = 0
+    gated: Float[np.ndarray, "3"] = field(default_factory=lambda: np.full(3, np.nan))
 
     @property
     def T_map_odom(self) -> Float[np.ndarray, "3"]:
@@ -216,9 +222,15 @@ def _corrected(
     R = fit.covariance + state.scale * _LEAST + _NOTHING * blind.T @ blind
     S = H @ P @ H.T + R
     nis = float(r @ np.linalg.solve(S, r))
-    taken = nis < _LIMITS[dof]
+    usual = -math.log(evidence.share) < _RARE * state.test.usual[0][0]
+    agreeing = state.agreeing + 1 if usual and _agree(r, state.gated, R, _LIMITS[dof]) else 0
+    bent = nis >= _LIMITS[dof] and agreeing >= _BENT
+    if bent:
+        P[:3, :3] += np.outer(r, r)
+        S = H @ P @ H.T + R
+    taken = bent or nis < _LIMITS[dof]
     test = lost.step(state.test, evidence.share, 3.0 * nis / max(dof, 1), moving, taken)
-    state = replace(state, test=test)
+    state = replace(state, test=test, agreeing=0 if taken else agreeing, gated=r)
     if moving and dof:
         part = max(_LEARNED, 1.0 / (2.0 + state.learned))
         scale = state.scale * math.exp(part * (min(nis / dof, _MOST) - 1.0))
@@ -231,8 +243,14 @@ def _corrected(
     d, left = K @ r, np.eye(6) - K @ H
     P = left @ P @ left.T + K @ R @ K.T
     reason = f"taken after {state.refused} fits in a row that were not" if state.refused else ""
+    reason += ", all of which agreed with it: the map bends" if bent else ""
     state = replace(state, pose=se2.retract(pose, d[:3]), shared=shared + d[3:], P=0.5 * (P + P.T), refused=0)
     return state, said._replace(status="used", reason=reason)
+
+
+def _agree(r: np.ndarray, before: np.ndarray, R: np.ndarray, limit: float) -> bool:
+    """Whether the innovations of two fits after each other, each with a covariance R, are the same."""
+    return bool((r - before) @ np.linalg.solve(2.0 * R, r - before) < limit)
 
 
 def _observation(pose: np.ndarray, shared: np.ndarray, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
