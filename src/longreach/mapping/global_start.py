@@ -47,11 +47,11 @@ _SHARE = 0.5  # of the beams that the map covers, explained at least; a scan of 
 _AGREES, _SOFT = 0.25, 0.015
 # Somewhere that the map does not show explains by chance so much of the beams at the best place, at most: a scan from
 # beyond the map's edge had 0.66 to 0.89 in two worlds. With each further look that stays good it is the less probable.
-_CHANCE, _LESS, _LEAST_CHANCE = 0.85, 0.1, 0.6
+_CHANCE, _LESS, _LEAST_CHANCE = 0.85, 0.05, 0.75
 _BY_ODOMETRY = 9.0  # times as probable is a place where odometry has a base that was lost
 _AT_LOSS = np.diag([0.5**2, 0.5**2, 0.26**2])  # that odometry's pose is off by more, when it is; as RViz's initial pose
 _SETTLED, _OUT = 0.9, 0.01  # weights
-_COVERED = 0.3  # share of the beams that the map covers, at least
+_COVERED = 0.5  # share of the beams that the map covers, at least
 _EVERY = 0.5, math.radians(20.0)  # [m, rad] between scans that are looked at while it is open
 _WAIT = 2.0  # [s] between searches of a base that stands
 LOST, FOUND = "the base is lost", "the base is found again"  # how reasons of corrections begin

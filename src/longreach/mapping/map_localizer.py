@@ -42,6 +42,7 @@ _LEAST = np.diag([0.001**2, 0.001**2, math.radians(0.02) ** 2])  # of a fit's ow
 # by so much of its error a fit, within limits. The least is that of simulated rooms: 0.4 mm and 0.006°.
 _LEARNED, _SCALES, _MOST = 0.05, (0.01, 4.0), 4.0
 _COVERED, _FEWEST = 0.1, 20  # share of the beams that the map covers, and returns on its surfaces, at least
+_SHOWN = 0.5  # share that it covers where a fit can say that the base is lost
 _AGREES = 0.5  # share that it explains of those, at least
 _LIMITS = (0.0, 10.83, 13.82, CHI2)  # 99.9 % of χ² by degrees of freedom
 _WIDE = 0.3  # [m] of deviation from where on the window is searched, for a fit alone may end beside it
@@ -213,7 +214,7 @@ def _corrected(
         )
     fit, evidence, reason = fitted(state.known, k, features_of(scan, geometry, twist), pose, P[:3, :3])
     if reason:
-        test = state.test if evidence is None else lost.step(state.test, evidence.share, CHI2, moving, False)
+        test = _tested(state.test, evidence, CHI2, moving, False)
         return replace(state, refused=state.refused + 1, test=test), said._replace(reason=reason)
     assert fit is not None
     assert evidence is not None
@@ -229,7 +230,7 @@ def _corrected(
         P[:3, :3] += np.outer(r, r)
         S = H @ P @ H.T + R
     taken = bent or nis < _LIMITS[dof]
-    test = lost.step(state.test, evidence.share, 3.0 * nis / max(dof, 1), moving, taken)
+    test = _tested(state.test, evidence, 3.0 * nis / max(dof, 1), moving, taken)
     state = replace(state, test=test, agreeing=0 if taken else agreeing, gated=r)
     if moving and dof:
         part = max(_LEARNED, 1.0 / (2.0 + state.learned))
@@ -246,6 +247,13 @@ def _corrected(
     reason += ", all of which agreed with it: the map bends" if bent else ""
     state = replace(state, pose=se2.retract(pose, d[:3]), shared=shared + d[3:], P=0.5 * (P + P.T), refused=0)
     return state, said._replace(status="used", reason=reason)
+
+
+def _tested(test: LostTest, evidence: Evidence | None, nis: float, moving: bool, taken: bool) -> LostTest:
+    """Take a fit into the test whether the base is lost, but where the map ends: it leaves too much open there."""
+    if evidence is None or evidence.covered < _SHOWN:
+        return test
+    return lost.step(test, evidence.share, nis, moving, taken)
 
 
 def _agree(r: np.ndarray, before: np.ndarray, R: np.ndarray, limit: float) -> bool:
