@@ -11,6 +11,7 @@ from longreach.app.map_localization import Start, opened_file, parsed_start
 from longreach.errors import MappingError
 from longreach.geometry import se2
 from longreach.mapping.map_file import load_map, save_map
+from longreach.mapping.occupancy import render, write_map_server
 from longreach.measurement import PoseMeasurement
 
 SIGMAS = np.array([0.2, 0.2, 0.1])
@@ -121,3 +122,21 @@ def test_scans_of_another_room_are_not_localised_and_it_is_said(made, thing, map
     found = lr.estimate(made.replace(scans=scans), thing, map=mapped)
     assert "localized" not in found.trajectories
     assert any("nothing is localized" in remark for remark in found.remarks)
+
+
+def test_a_map_server_s_map_serves_to_localise_in_by_its_yaml(made, thing, mapped, start, tmp_path):
+    write_map_server(tmp_path / "room.pgm", render(mapped))
+    given = opened_file(tmp_path / "room.yaml", f"{start.pose[0]},{start.pose[1]},{start.pose[2]},0.2,0.2,0.1")
+    found = lr.estimate(made, thing, **given)
+    assert found.metrics["localized"]["ate_rmse"]["value"] < 0.02
+    assert found.metrics["localized"]["lost"]["value"] == 0.0
+    with pytest.raises(MappingError, match="is not there"):
+        opened_file(tmp_path / "nothing.yaml", None)
+
+
+def test_a_base_that_is_lost_is_said_to_be_with_its_times(made, thing, mapped, start):
+    wrong = Start(start.pose + np.array([1.0, 0.8, 2.0]), np.array([0.05, 0.05, 0.02]))
+    found = lr.estimate(made, thing, map=mapped, start=wrong)
+    said = [remark for remark in found.remarks if "the base is lost" in remark or "found again" in remark]
+    assert len(said) == 2
+    assert found.metrics["localized"]["lost"]["value"] < 5.0

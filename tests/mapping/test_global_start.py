@@ -8,8 +8,9 @@ from room_maps import map_along, rows_along, walk
 from room_scans import NOWHERE, ROOM, scan_at
 
 from longreach.geometry import se2
-from longreach.mapping import global_start
+from longreach.mapping import global_start, map_localizer
 from longreach.mapping.known_map import features_of, prepared
+from longreach.mapping.mapper import PathRow
 from longreach.odometry.scan_geometry import scan_geometry
 
 RANGE = 4.0  # [m] of the laser in the hall
@@ -107,3 +108,72 @@ def test_a_map_of_the_room_moved_as_a_whole_moves_what_is_found(rng):
     one = global_start.search(prepared(made), scan)[0]
     two = global_start.search(prepared(replace(made, graph=replace(made.graph, poses=poses))), scan)[0]
     np.testing.assert_allclose(se2.compose(moved, one.pose), two.pose, atol=0.01)
+
+
+def kidnapped(rng, before=60, after=60):
+    """A base that goes on a circle is carried elsewhere between two scans, and odometry does not see it."""
+    poses = walk(step=0.05)
+    first, second = poses[:before], [np.array([0.3 + 0.01 * k, 0.4, 2.0]) for k in range(after)]
+    scans, rows = rows_along(first, rng)
+    others, on = rows_along(second, rng)
+    t = rows[-1].stamp + 0.1
+    scans += [replace(scan, stamp=scan.stamp + t) for scan in others]
+    rows += [PathRow(row.stamp + t, se2.compose(rows[-1].pose, row.pose), rows[-1].covariance) for row in on]
+    return [*first, *second], scans, rows
+
+
+def test_a_base_that_is_carried_away_is_said_to_be_lost_and_found_again(rng):
+    known = prepared(map_along(walk(), rng))
+    poses, scans, rows = kidnapped(rng)
+    state = global_start.init(known, NOWHERE)
+    start = map_localizer.init(known, NOWHERE, poses[0], global_start.SIGMAS)
+    state, given, corrections = global_start.step(replace(state, settled=start), scans, rows)
+    alarms = [c for c in corrections if c.reason.startswith(global_start.LOST)]
+    found = [c for c in corrections if c.reason.startswith(global_start.FOUND)]
+    assert len(alarms) == len(found) == 1
+    assert rows[60].stamp <= alarms[0].stamp <= rows[60].stamp + 5.0
+    assert not any(row.lost for row in given if row.stamp < rows[60].stamp)
+    assert state.settled is not None
+    off = se2.difference(given[-1].pose, poses[-1])
+    assert np.hypot(*off[:2]) < 0.01
+
+
+def test_where_nothing_is_found_rows_are_odometry_s_and_their_covariance_grows(rng):
+    known = prepared(map_along(walk(), rng))
+    poses = walk(step=0.05)
+    scans, rows = rows_along(poses, rng, drift=0.02)
+    angles = scans[0].angles
+    star = 1.0 + 2.0 * np.cos(3.5 * angles) ** 2
+    scans[40:] = [replace(scan, ranges=star + 0.01 * rng.standard_normal(len(star))) for scan in scans[40:]]
+    start = map_localizer.init(known, NOWHERE, poses[0], global_start.SIGMAS)
+    state, given, _ = global_start.step(replace(global_start.init(known, NOWHERE), settled=start), scans, rows)
+    late = [row for row in given if row.lost]
+    assert late
+    assert given[-1].lost
+    assert state.settled is None
+    sigmas = [np.linalg.det(row.covariance) for row in late]
+    assert np.all(np.diff(sigmas) > -1e-12 * sigmas[0])
+    assert sigmas[-1] > sigmas[0] > 100.0 * np.linalg.det(given[30].covariance)
+    for a, b, one, two in zip(late[:-1], late[1:], rows[-len(late) : -1], rows[-len(late) + 1 :], strict=True):
+        np.testing.assert_allclose(se2.between(a.pose, b.pose), se2.between(one.pose, two.pose), atol=1e-9)
+
+
+def test_beams_that_end_in_space_that_the_map_has_not_seen_tell_nothing(rng):
+    known = hall(HALL, rng)
+    for x, covered in ((-5.0, 1.0), (7.0, 1.0), (-12.0, 0.0)):
+        scan = features(shortened(scan_at([x, 0.0, 0.0], walls=HALL, rng=rng)))
+        if abs(x) > 8.0:
+            scan = features(shortened(scan_at([-5.0, 0.0, 0.0], walls=HALL, rng=rng)))
+        pose = np.array([x, 0.0, 0.0])
+        said = known.evidence(known.nearest(pose)[0], scan, pose)
+        assert said.covered == pytest.approx(covered, abs=0.1)
+        assert said.share > 0.95 or covered == 0.0
+
+
+def test_a_scan_of_a_place_beside_the_map_is_not_settled_on_a_place_of_it(rng):
+    walls = np.vstack([HALL, PILLAR])
+    known = hall(walls, rng)
+    beyond = np.array([[-3.0, -2.0, 3.0, -2.0], [3.0, -2.0, 3.0, 2.2], [3.0, 2.2, 1.0, 1.6], [1.0, 1.6, -3.0, 2.2]])
+    for heading in (0.0, 1.0, 2.0):
+        found = global_start.search(known, features(shortened(scan_at([0.0, 0.0, heading], walls=beyond, rng=rng))))
+        assert not found or found[0].weight < 0.9

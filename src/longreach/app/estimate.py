@@ -24,6 +24,7 @@ from longreach.localization.config import Source, filter_for
 from longreach.localization.localizer import LocalizerState, Output, Reading, Row
 from longreach.mapping.map_file import Map
 from longreach.mapping.map_localizer import SOURCE
+from longreach.mapping.occupancy import Occupancy
 from longreach.measurement import Recording, RelativePoseMeasurement
 from longreach.odometry.dead_reckoning import integrate
 from longreach.odometry.lidar import ScanMatch, lidar_odometry
@@ -83,7 +84,7 @@ def estimate(
     *,
     truth: PoseTrajectory | None = None,
     relations: Relations | None = None,
-    map: Map | None = None,
+    map: Map | Occupancy | None = None,
     start: Start | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
@@ -95,7 +96,8 @@ def estimate(
     Arguments:
         config: None takes the defaults. truth: None takes the recording's own, where it has one.
         relations: stamps_1 (m,), stamps_2 (m,) [s] as recorded and relative poses (m, 3) [m, m, rad].
-        map: in which to localise, in place of fixes. start: where the base is on it at first; None: it is searched for.
+        map: in which to localise, in place of fixes; an occupancy grid serves, too. start: where the base is on it at
+            first; None: it is searched for.
         progress: called with the name of a stage and how far it is, 0 to 1.
 
     Raises:
@@ -116,13 +118,12 @@ def estimate(
     wheels = wheel_odometry(recording.wheels, robot, config.wheels)  # by themselves, as a comparison: (3.21), (3.22)
     alone = _lidar_alone(recording, robot, config, tell) if compared and "wheels" in done.sources else ()
     estimated = {"fused": _path(done.output.rows), "localized": _path(done.output.rows_on_map)}
-    verdict, said = plausibility.verdict(done.output.corrections), list[str]()
+    verdict, said, on_map = plausibility.verdict(done.output.corrections), list[str](), None
     if known is not None:
         laser = sensor_mount(recording, robot, "lidar")
-        given, corrections, said = map_localization.followed(
-            known, laser, recording.scans, done.output.rows, start, tell
-        )
-        estimated["localized"] = _path([Row(*row) for row in given])
+        on_map = map_localization.followed(known, laser, recording.scans, done.output.rows, start, tell)
+        given, corrections, said = on_map
+        estimated["localized"] = _path([Row(row.stamp, row.pose, row.covariance) for row in given])
         done = done._replace(output=done.output._replace(corrections=[*done.output.corrections, *corrections]))
     if config.smooth:
         estimated["smoothed"] = _smoothed(done)
@@ -138,8 +139,8 @@ def estimate(
     }
     trajectories = _as_recorded(rows | dead_reckoning, recording)
     evaluation = evaluate(trajectories, truth if truth is not None else recording.truth, relations, config.evaluation)
-    if map is not None:
-        evaluation = map_localization.judged(evaluation, map)
+    if map is not None and on_map is not None:
+        evaluation = map_localization.judged(evaluation, map, on_map)
     metrics = _with_consistency(evaluation, done, {SOURCE, *(fix.source for fix in recording.fixes)})
     remarks = (*recording.remarks, *done.remarks, *_remarks(wheels, done), *said, *evaluation.remarks)
     evaluation = replace(evaluation, metrics=metrics, remarks=remarks)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from longreach.mapping.known_map import KnownMap
 from longreach.mapping.map_file import Map, load_map
 from longreach.mapping.map_localizer import MapRow
 from longreach.mapping.mapper import PathRow
+from longreach.mapping.occupancy import Occupancy, read_map_server
 from longreach.measurement import LaserScan, Recording
 from longreach.robot.description import RobotDescription
 
@@ -85,35 +87,43 @@ def opened_file(path: Path | None, start: str | None, fixes: Path | None = None)
         return {}
     if fixes is not None:
         raise MappingError("A map and fixes both say where the base is; give --map or --fixes.")
-    return {"map": load_map(path), "start": parsed_start(start or "global")}
+    read = read_map_server if path.suffix in (".yaml", ".yml") else load_map
+    return {"map": read(path), "start": parsed_start(start or "global")}
 
 
-def opened(map_: Map, robot: RobotDescription, recording: Recording, start: Start | None) -> KnownMap:
+def opened(map_: Map | Occupancy, robot: RobotDescription, recording: Recording, start: Start | None) -> KnownMap:
     """Prepare a map for the scans of a recording, and a start on it.
 
     Raises:
         MappingError: the map is of another robot or scanner, or shows nothing; no scan is there; the start is off it.
     """
-    scans = recording.scans
+    if not recording.scans:
+        raise MappingError(f"{recording.name} has no scans; to localise in a map takes a LIDAR's.")
+    if isinstance(map_, Map):
+        _check_fits(map_, robot, recording)
+        known = known_map.prepared(map_)
+    else:
+        known = known_map.drawn(map_)
+    if start is not None:
+        map_localizer.init(known, np.eye(4), start.pose, start.covariance)
+    return known
+
+
+def _check_fits(map_: Map, robot: RobotDescription, recording: Recording) -> None:
+    """Refuse a map of another robot or scanner."""
     robots = sorted({session.robot for session in map_.sessions})
     if robot.name not in robots:
         raise MappingError(
             f"The map is of {', '.join(robots)}, and the recording of {robot.name}; give a map that this robot made."
         )
-    if not scans:
-        raise MappingError(f"{recording.name} has no scans; to localise in a map takes a LIDAR's.")
     kinds = {(len(scan.ranges), round(scan.angle_increment, 6)) for scan in map_.scans}
-    beams, step = kind = len(scans[0].ranges), round(scans[0].angle_increment, 6)
+    beams, step = kind = len(recording.scans[0].ranges), round(recording.scans[0].angle_increment, 6)
     if kind not in kinds:
         n, other = sorted(kinds)[0]
         raise MappingError(
             f"The map was made with a scanner of {n} beams {math.degrees(other):.3g}° apart, and this one has {beams}, "
             f"{math.degrees(step):.3g}° apart; give a map that this scanner made."
         )
-    known = known_map.prepared(map_)
-    if start is not None:
-        map_localizer.init(known, np.eye(4), start.pose, start.covariance)
-    return known
 
 
 def followed(
@@ -142,7 +152,14 @@ def followed(
         some = [scan for scan in scans if part[0].stamp <= scan.stamp <= part[-1].stamp]
         state, on_map, said = global_start.step(state, some, part)
         given, corrections = given + on_map, corrections + said
-    return OnMap(given, corrections, [*_searched(state, rows, given), *_remarks(corrections)])
+    ordinary = [c for c in corrections if not c.reason.startswith((global_start.LOST, global_start.FOUND))]
+    said = [*_searched(state, rows, given), *_remarks(ordinary), *_lost(given, corrections)]
+    return OnMap(given, corrections, said)
+
+
+def _seconds_lost(rows: Sequence[MapRow]) -> float:
+    """Return for how long rows are lost [s]."""
+    return math.fsum(b.stamp - a.stamp for a, b in pairwise(rows) if a.lost)
 
 
 def _searched(state: global_start.GlobalStartState, rows: Sequence[PathRow], given: Sequence[MapRow]) -> list[str]:
@@ -172,18 +189,40 @@ def _remarks(corrections: Sequence[Correction]) -> list[str]:
         )
     if corrections and not any(c.status == "used" for c in corrections):
         remarks.append("No scan fits the map where the base was said to start: `localized` is odometry from there.")
-    for c in [c for c in corrections if c.status == "used" and c.reason][:_TELLS]:
+    again = [c for c in corrections if c.status == "used" and c.reason]
+    for c in again[:_TELLS]:
         size = 1e3 * float(np.hypot(*c.innovation[:2]))
         remarks.append(f"map: at {c.stamp:.2f} s a fit {size:.0f} mm off was {c.reason}.")
     return remarks
 
 
-def judged(evaluation: Evaluation, map_: Map) -> Evaluation:
-    """Hold `localized` against the truth: carried there as the mapping run was, else by what fits best."""
+def _lost(rows: Sequence[MapRow], corrections: Sequence[Correction]) -> list[str]:
+    """Say when the base was lost, and when it was found again."""
+    alarms = [c for c in corrections if c.reason.startswith(global_start.LOST)]
+    found = [c for c in corrections if c.reason.startswith(global_start.FOUND)]
+    remarks = [f"map: at {c.stamp:.2f} s {c.reason}." for c in alarms[:_TELLS]]
+    for c in found[:_TELLS]:
+        off = float(np.hypot(*c.innovation[:2]))
+        remarks.append(f"map: at {c.stamp:.2f} s {c.reason}, {off:.2f} m from where odometry had it.")
+    if len(alarms) > _TELLS:
+        remarks.append(f"map: it was lost {len(alarms)} times.")
+    if rows and rows[-1].lost:
+        remarks.append("map: at the end the base is lost: `localized` is odometry from then on.")
+    return remarks
+
+
+def judged(evaluation: Evaluation, map_: Map | Occupancy, on_map: OnMap) -> Evaluation:
+    """Say for how long `localized` was lost, and hold it against the truth: carried there as the mapping run was, else
+    by what fits best.
+    """
+    if "localized" in evaluation.metrics:
+        lost = {"lost": {"value": _seconds_lost(on_map.rows), "unit": "s"}}
+        own = {**evaluation.metrics["localized"], **lost}
+        evaluation = replace(evaluation, metrics={**evaluation.metrics, "localized": own})
     localized, truth = evaluation.trajectories.get("localized"), evaluation.trajectories.get("truth")
     if localized is None or truth is None or len(localized) < 2:
         return evaluation
-    motion, remarks = map_.T_truth_map, evaluation.remarks
+    motion, remarks = map_.T_truth_map if isinstance(map_, Map) else None, evaluation.remarks
     if motion is None:
         motion = carried_to_truth(evaluation, "localized")
         said = (

@@ -25,7 +25,7 @@ def command(
     fixes: Path | None = typer.Option(None, help="Absolute positions to fuse as a GPS-like source (TUM or CARMEN)."),
     fix_sigma: float = typer.Option(0.05, help="Standard deviation of such a position in x and y, in metres."),
     fix_period: float = typer.Option(0.0, help="Use no more than one such position in so many seconds."),
-    map_: Path | None = typer.Option(None, "--map", help="A map.lrmap to localise in: localized.tum in its frame."),
+    map_: Path | None = typer.Option(None, "--map", help="A map.lrmap, or a map_server's map.yaml, to localise in."),
     start: str | None = typer.Option(
         None, help="Where on the map: x,y,theta[,sx,sy,stheta] (metres, radians), or global (default): searched for."
     ),

@@ -2,16 +2,18 @@
 
     search     branch and bound over all turns and all cells near a keyframe; places that agree 0.75 times as well
                as the best, apart from each other
-    fit        of the scan to the surfaces about each; its score: the share of beams that agree, less those that pass
-               through surfaces
-    weights    exp(score / 0.02), over their sum: a place where 4 % of the beams fewer agree keeps the best at 0.9
+    fit        of the scan to the surfaces about each, and what its beams say there: how many the map explains, how many
+               contradict it; where they end in space that the map has not seen they say nothing
+    weights    exp((a quarter of the beams explained − contradictions) / 1.5 % of the beams), over their sum and that
+               of a place that the map does not show
     settled    one has more than 0.9; else each is tracked while the base drives, and one that falls below 0.01 is out
 
-Scores of the same place again are no new evidence, so they are not summed up: two halls that look the same stay two.
+Beams of the same place again are no new evidence, so they are not summed up: two halls that look the same stay two.
+A base that is lost is searched for in the same way, with odometry's place the more probable one.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,8 +25,8 @@ from longreach.geometry import se2
 from longreach.mapping import _global_start_kernels as kernels
 from longreach.mapping import _loop_closure_kernels as pyramid_kernels
 from longreach.mapping import map_localizer
-from longreach.mapping.known_map import KnownMap, features_of
-from longreach.mapping.loop_closure import NEAR, fitted, sampled, seen_through
+from longreach.mapping.known_map import Evidence, KnownMap, features_of
+from longreach.mapping.loop_closure import CHI2, NEAR, fitted, sampled
 from longreach.mapping.map_localizer import MapLocalizerState, MapRow
 from longreach.mapping.mapper import PathRow
 from longreach.measurement import LaserScan
@@ -38,15 +40,29 @@ _TOP = 4  # level of the squares that the search begins with: 16 cells
 _LEVER = 10.0  # [m] at which a turn moves a point by a cell
 _APART = 1.0, math.radians(20.0)  # [m, rad] between two places
 _MOST, _PART, _LEAST = 24, 0.75, 0.35  # places at most; agreement of the best one's, and of all points, at least
-_SCORE = 0.45  # of a place, at least; a scan of somewhere else has less
-_SOFT = 0.02  # of scores: see above
+_SHARE = 0.5  # of the beams that the map covers, explained at least; a scan of somewhere else has less
+# A place where 3.3 % of the beams more contradict the map keeps the best at 0.9. Places that are the same differ by up
+# to 1.5 % in a simulated world, for the map was made from elsewhere in each. Beams that agree count a quarter of that,
+# for where the map ends they would tell as little as those that it knows nothing of.
+_AGREES, _SOFT = 0.25, 0.015
+# Somewhere that the map does not show explains by chance so much of the beams at the best place, at most: a scan from
+# beyond the map's edge had 0.66 to 0.89 in two worlds. With each further look that stays good it is the less probable.
+_CHANCE, _LESS, _LEAST_CHANCE = 0.85, 0.05, 0.75
+_BY_ODOMETRY = 9.0  # times as probable is a place where odometry has a base that was lost
+_AT_LOSS = np.diag([0.5**2, 0.5**2, 0.26**2])  # that odometry's pose is off by more, when it is; as RViz's initial pose
 _SETTLED, _OUT = 0.9, 0.01  # weights
+_COVERED = 0.5  # share of the beams that the map covers, at least
 _EVERY = 0.5, math.radians(20.0)  # [m, rad] between scans that are looked at while it is open
+_WAIT = 2.0  # [s] between searches of a base that stands
+LOST, FOUND = "the base is lost", "the base is found again"  # how reasons of corrections begin
 SIGMAS = np.diag([0.1**2, 0.1**2, math.radians(2.0) ** 2])  # of a place that is found, for the tracking that follows
 
 
 class Hypothesis(NamedTuple):
-    """A pose (3,) on the map, its score 0 to 1, and its weight among all, 0 to 1."""
+    """A pose (3,) on the map, the share of the beams that it explains, and its weight, 0 to 1.
+
+    Weights add up to less than 1: the rest is that of places that the map does not show.
+    """
 
     pose: np.ndarray
     score: float
@@ -55,10 +71,11 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GlobalStartState:
-    """A search that goes on until one place is left.
+    """A search that goes on until one place is left, and begins again when the base is lost.
 
     hypotheses: best first, none where nothing agrees. candidates: the localizers that track them. settled: the one that
-    is left; None: open. looked: the row of the last scan that was looked at.
+    is left; None: open. looked: the row of the last scan that was looked at; looks: at the same hypotheses. lost: what
+    odometry makes of the base since it was lost at a stamp `since`; None: it is not. waiting: scans without their row.
     """
 
     known: KnownMap
@@ -67,6 +84,10 @@ class GlobalStartState:
     candidates: tuple[MapLocalizerState, ...] = ()
     settled: MapLocalizerState | None = None
     looked: PathRow | None = None
+    looks: int = 0
+    lost: MapLocalizerState | None = None
+    since: float = math.nan
+    waiting: tuple[LaserScan, ...] = ()
 
 
 def init(known: KnownMap, T_base_laser: Float[np.ndarray, "4 4"]) -> GlobalStartState:
@@ -77,20 +98,47 @@ def init(known: KnownMap, T_base_laser: Float[np.ndarray, "4 4"]) -> GlobalStart
 def step(
     state: GlobalStartState, scans: Iterable[LaserScan], rows: Iterable[PathRow]
 ) -> tuple[GlobalStartState, list[MapRow], list[Correction]]:
-    """Take scans with their rows, as `map_localizer.step`; nothing is on the map while it is open."""
-    rows, by_stamp = [PathRow(*row) for row in rows], {scan.stamp: scan for scan in scans}
+    """Take scans with their rows, as `map_localizer.step`.
+
+    Nothing is on the map before the base was found. While it is lost rows are odometry's, and say so.
+    """
+    waiting = [*state.waiting, *scans]
+    by_stamp, newest = {scan.stamp: scan for scan in waiting}, -math.inf
     given: list[MapRow] = []
-    for k, row in enumerate(rows):
+    corrections: list[Correction] = []
+    for row in rows:
+        row, newest = PathRow(*row), row[0]
+        scan = by_stamp.get(row.stamp)
         if state.settled is not None:
-            settled, more, corrections = map_localizer.step(state.settled, by_stamp.values(), rows[k:])
-            return replace(state, settled=settled), given + more, corrections
-        state = _looked(state, by_stamp.get(row.stamp), row)
-        if state.settled is not None:
-            given.append(map_localizer.row_of(state.settled, row))
-    return state, given, []
+            settled, on_map, said = map_localizer.step(state.settled, [] if scan is None else [scan], [row])
+            state = replace(state, settled=settled)
+            if said and settled.test.is_lost:
+                state, said = _alarmed(state, row, said[0])
+                assert state.lost is not None
+                on_map = [map_localizer.row_of(state.lost, row)]
+        else:
+            if state.lost is not None:
+                state = replace(state, lost=map_localizer.step(state.lost, [], [row])[0])
+            state, said = _looked(state, scan, row)
+            at = state.settled or state.lost
+            on_map = [] if at is None else [map_localizer.row_of(at, row)]
+        given += [r._replace(lost=state.lost is not None) for r in on_map]
+        corrections += said
+    return replace(state, waiting=tuple(scan for scan in waiting if scan.stamp > newest)), given, corrections
 
 
-def _looked(state: GlobalStartState, scan: LaserScan | None, row: PathRow) -> GlobalStartState:
+def _alarmed(state: GlobalStartState, row: PathRow, said: Correction) -> tuple[GlobalStartState, list[Correction]]:
+    """Give up the place where the base is tracked: from there on odometry alone, which nothing now holds up."""
+    assert state.settled is not None
+    reason = f"{LOST}: p = {state.settled.test.p:.1g}; {said.reason or 'the fits before were not taken'}"
+    P = np.array(state.settled.P)
+    P[:3, :3] += _AT_LOSS
+    lost = replace(state.settled, P=P, scale=1.0)
+    state = replace(state, settled=None, candidates=(), hypotheses=(), looked=None, lost=lost, since=row.stamp)
+    return state, [said._replace(status="refused", reason=reason)]
+
+
+def _looked(state: GlobalStartState, scan: LaserScan | None, row: PathRow) -> tuple[GlobalStartState, list[Correction]]:
     """Follow all candidates to a row, and where that is due score them by its scan; search where there are none."""
     tracked = []
     for candidate in state.candidates:
@@ -98,30 +146,56 @@ def _looked(state: GlobalStartState, scan: LaserScan | None, row: PathRow) -> Gl
         tracked.append(found)
     state = replace(state, candidates=tuple(tracked))
     if scan is None or not _is_due(state, row):
-        return state
+        return state, []
     features = features_of(scan, scan_geometry(scan, state.T_base_laser, 5), np.zeros(3))
-    state = replace(state, looked=row)
-    if not state.candidates:
-        found = search(state.known, features)
-        starts = [map_localizer.init(state.known, state.T_base_laser, h.pose, SIGMAS) for h in found]
-        tracked = [map_localizer.step(start, [scan], [row])[0] for start in starts]
+    is_open = bool(tracked)
+    if is_open:
+        said = [_seen(state.known, features, _now(c, row))[1] for c in tracked]
+        weights = _weights(said, state.looks)
+        found = [
+            (Hypothesis(_now(c, row), e.share, float(w)), c) for c, e, w in zip(tracked, said, weights, strict=True)
+        ]
+        found = [(h, c) for h, c in found if h.weight > _OUT and h.score > _SHARE]
     else:
-        scores = [score(state.known, features, pose)[1] for pose in (_now(c, row) for c in tracked)]
-        weights = _weights(np.array(scores))
-        order = [q for q in np.argsort(-weights).tolist() if weights[q] > _OUT and scores[q] > _SCORE]
-        found = [Hypothesis(_now(tracked[q], row), scores[q], float(weights[q])) for q in order]
-        tracked = [tracked[q] for q in order]
-    is_settled = len(found) > 0 and found[0].weight > _SETTLED
-    return replace(
-        state, hypotheses=tuple(found), candidates=tuple(tracked), settled=tracked[0] if is_settled else None
-    )
+        starts = [
+            (h, map_localizer.init(state.known, state.T_base_laser, h.pose, SIGMAS))
+            for h in search(state.known, features)
+        ]
+        found = [(h, map_localizer.step(start, [scan], [row])[0]) for h, start in starts]
+    weighed = _by_odometry(state, [h for h, _ in found], row)
+    order = sorted(range(len(found)), key=lambda q: -weighed[q].weight)
+    hypotheses, tracked = tuple(weighed[q] for q in order), tuple(found[q][1] for q in order)
+    looks = state.looks + 1 if is_open and tracked else 1
+    state = replace(state, hypotheses=hypotheses, candidates=tracked, looks=looks, looked=row)
+    if not tracked or hypotheses[0].weight <= _SETTLED:
+        return state, []
+    found_again = []
+    if state.lost is not None:
+        off = se2.difference(map_localizer.row_of(state.lost, row).pose, hypotheses[0].pose)
+        reason = f"{FOUND} after {row.stamp - state.since:.1f} s"
+        found_again = [Correction(row.stamp, map_localizer.SOURCE, "used", reason, off)]
+    return replace(state, settled=tracked[0], candidates=(), lost=None, since=math.nan), found_again
+
+
+def _by_odometry(state: GlobalStartState, found: list[Hypothesis], row: PathRow) -> list[Hypothesis]:
+    """Weigh hypotheses by where odometry has a base that is lost: it may not be so."""
+    if state.lost is None or not found:
+        return found
+    at = map_localizer.row_of(state.lost, row)
+    xi = [se2.difference(at.pose, h.pose) for h in found]
+    inside = np.array([x @ np.linalg.solve(at.covariance, x) < CHI2 for x in xi])
+    weights = np.array([h.weight for h in found]) * np.where(inside, _BY_ODOMETRY, 1.0)
+    rest = max(1.0 - sum(h.weight for h in found), 0.0)
+    weights /= weights.sum() + rest
+    return [h._replace(weight=float(w)) for h, w in zip(found, weights, strict=True)]
 
 
 def _is_due(state: GlobalStartState, row: PathRow) -> bool:
     if state.looked is None:
         return True
     moved = se2.between(state.looked.pose, row.pose)
-    return bool(math.hypot(moved[0], moved[1]) > _EVERY[0] or abs(moved[2]) > _EVERY[1])
+    waits = not state.candidates and row.stamp - state.looked.stamp > _WAIT
+    return waits or bool(math.hypot(moved[0], moved[1]) > _EVERY[0] or abs(moved[2]) > _EVERY[1])
 
 
 def _now(state: MapLocalizerState, row: PathRow) -> np.ndarray:
@@ -142,36 +216,37 @@ def search(known: KnownMap, scan: Features) -> list[Hypothesis]:
     apart = _APART[0] / _CELL, _APART[1] * turns / (2.0 * math.pi)
     order = np.argsort(-bounds.ravel())
     count = kernels.places(levels, cells, _TOP, squares, bounds, order, *apart, _PART, _LEAST * whole, found)
-    hypotheses: list[tuple[np.ndarray, float]] = []
+    kept: list[tuple[np.ndarray, Evidence]] = []
     for i, k, a, _ in sorted(found[:count].tolist(), key=lambda place: -place[3]):
         pose = np.array([*(corner + (np.array([i, k]) + 0.5) * _CELL), 2.0 * math.pi * a / turns])
-        fit, value = score(known, scan, pose)
-        is_new = all(not _is_near(fit, other) for other, _ in hypotheses)
-        if value > _SCORE and is_new:
-            hypotheses.append((fit, value))
-    weights = _weights(np.array([value for _, value in hypotheses]))
-    made = [Hypothesis(pose, value, float(w)) for (pose, value), w in zip(hypotheses, weights, strict=True)]
+        fit, said = _seen(known, scan, pose)
+        if said.share > _SHARE and said.covered > _COVERED and all(not _is_near(fit, other) for other, _ in kept):
+            kept.append((fit, said))
+    weights = _weights([said for _, said in kept], 0)
+    made = [Hypothesis(pose, said.share, float(w)) for (pose, said), w in zip(kept, weights, strict=True)]
     return sorted((h for h in made if h.weight > _OUT), key=lambda h: -h.weight)
 
 
-def score(known: KnownMap, scan: Features, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, float]:
-    """Return where a scan fits best about a pose (3,), and the share of its beams that agree there less those that
-    pass through surfaces.
-    """
+def _seen(known: KnownMap, scan: Features, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, Evidence]:
+    """Return where a scan fits best about a pose (3,), and what its beams say there."""
     k, _ = known.nearest(pose)
     at, free = se2.between(known.poses[k], pose), np.full(3, 1.0)
     fit = fitted(scan, known.reference(k), at, free, NEAR)
-    if not (math.isfinite(fit.scale) and np.isfinite(fit.pose).all()):
-        return pose, 0.0
-    through = seen_through(scan, known.reference(k), fit.pose)
-    return se2.compose(known.poses[k], fit.pose), float(fit.inlier_ratio - through)
+    if fit.rows == 0 or not (math.isfinite(fit.scale) and np.isfinite(fit.pose).all()):
+        return pose, Evidence(0, scan.count, scan.count)
+    on_map = se2.compose(known.poses[k], fit.pose)
+    return on_map, known.evidence(k, scan, on_map)
 
 
-def _weights(scores: np.ndarray) -> np.ndarray:
-    if len(scores) == 0:
-        return scores
-    w = np.exp((scores - scores.max()) / _SOFT)
-    return w / w.sum()
+def _weights(said: Sequence[Evidence], looks: int) -> np.ndarray:
+    """Return weights of places by their beams; the rest to 1 is that of a place that the map does not show."""
+    if not said:
+        return np.zeros(0)
+    values = np.array([(_AGREES * e.explained - e.against) / max(e.beams, 1) for e in said])
+    chance = max(_CHANCE - _LESS * looks, _LEAST_CHANCE)
+    elsewhere = said[int(np.argmax(values))].covered * (_AGREES * chance - (1.0 - chance))
+    w = np.exp((np.append(values, elsewhere) - max(values.max(), elsewhere)) / _SOFT)
+    return w[:-1] / w.sum()
 
 
 def _is_near(a: np.ndarray, b: np.ndarray) -> bool:

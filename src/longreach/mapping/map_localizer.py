@@ -14,7 +14,7 @@ The frame odom is not touched; T_map_odom moves by corrections alone.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +23,11 @@ from jaxtyping import Float
 from longreach.errors import MappingError
 from longreach.estimation.planar.state import Correction
 from longreach.geometry import se2
+from longreach.mapping import lost
 from longreach.mapping.keyframes import DRIFT, MATCHER, motion_covariance
-from longreach.mapping.known_map import FAR, KnownMap, features_of
+from longreach.mapping.known_map import FAR, Evidence, KnownMap, features_of
 from longreach.mapping.loop_closure import CHI2, NEAR, WINDOW, Window, sampled
+from longreach.mapping.lost import UNTESTED, LostTest
 from longreach.mapping.mapper import PathRow
 from longreach.measurement import LaserScan
 from longreach.odometry.matchers.scan_matcher import Features, Fit, Prior
@@ -39,17 +41,29 @@ _LEAST = np.diag([0.001**2, 0.001**2, math.radians(0.02) ** 2])  # of a fit's ow
 # The variances of b, drift and _LEAST are for a cluttered place; a scale of them is learned, so that the mean NIS is 3:
 # by so much of its error a fit, within limits. The least is that of simulated rooms: 0.4 mm and 0.006°.
 _LEARNED, _SCALES, _MOST = 0.05, (0.01, 4.0), 4.0
-_OVERLAP, _AGREES = 0.3, 0.5  # share of the returns that see the map, and of these that agree, at least
+_COVERED, _FEWEST = 0.1, 20  # share of the beams that the map covers, and returns on its surfaces, at least
+_SHOWN = 0.5  # share that it covers where a fit can say that the base is lost
+_AGREES = 0.5  # share that it explains of those, at least
+_LIMITS = (0.0, 10.83, 13.82, CHI2)  # 99.9 % of χ² by degrees of freedom
 _WIDE = 0.3  # [m] of deviation from where on the window is searched, for a fit alone may end beside it
+# So many fits in a row that the gate refuses agree with the one before, and the map explains their beams as usual, up
+# to a factor of −ln(share): then it is the map that bends, by more than its covariance says, and the pose follows.
+_BENT, _RARE = 3, 3.0
+_NOTHING = 1e4  # variance along what the scan does not show: the odometry's pose there is no measurement
 _FOUND = 0.3  # agreement of the best place in a window, at least
 
 
 class MapRow(NamedTuple):
-    """Pose (3,) and covariance (3, 3) of ξ in the frame map at a stamp [s]."""
+    """Pose (3,) and covariance (3, 3) of ξ in the frame map at a stamp [s].
+
+    p: of the test whether the base is there (`lost`). lost: it is not, and this is odometry.
+    """
 
     stamp: float
     pose: np.ndarray
     covariance: np.ndarray
+    p: float = 1.0
+    lost: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +72,8 @@ class MapLocalizerState:
 
     pose (3,) and shared (3,), the error b of fits, with P (6, 6) of (ξ, b). at: the path's row then, None before the
     first. way, turned: since then. last: the newest row. waiting: scans whose row has not come. refused: fits in a
-    row. scale: of the variances of b and drift, as learned from so many fits.
+    row; agreeing: of those with the one before, whose innovation is gated. scale: of the variances of b and drift, as
+    learned from so many fits. test: whether the base is here.
     """
 
     known: KnownMap
@@ -75,6 +90,9 @@ class MapLocalizerState:
     scale: float = 1.0
     learned: int = 0
     geometry: ScanGeometry | None = None
+    test: LostTest = UNTESTED
+    agreeing: int = 0
+    gated: Float[np.ndarray, "3"] = field(default_factory=lambda: np.full(3, np.nan))
 
     @property
     def T_map_odom(self) -> Float[np.ndarray, "3"]:
@@ -104,7 +122,7 @@ def init(
             f"goes from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) m; give a start on it."
         )
     P = np.zeros((6, 6))
-    P[:3, :3], P[3:, 3:] = covariance, np.diag(_SHARED**2)
+    P[:3, :3], P[3:, 3:] = covariance, _shared(known, 1.0)
     return MapLocalizerState(known, T_base_laser, np.array(pose, dtype=float), P, np.zeros(3))
 
 
@@ -140,6 +158,11 @@ def _moved(state: MapLocalizerState, row: PathRow) -> tuple[MapLocalizerState, n
     return replace(state, last=row, way=way, turned=turned), se2.log(moved) / (row.stamp - state.last.stamp)
 
 
+def _shared(known: KnownMap, scale: float) -> np.ndarray:
+    """Return the covariance (3, 3) of b."""
+    return scale * np.diag(_SHARED**2) + known.rough
+
+
 def _is_due(state: MapLocalizerState, row: PathRow) -> bool:
     assert state.at is not None
     way, turn, time = _EVERY
@@ -159,7 +182,7 @@ def _predicted(state: MapLocalizerState, row: PathRow) -> tuple[np.ndarray, np.n
     P = F @ P @ F.T
     less = (1.0 - state.scale) * np.diag(DRIFT * max(way, 0.01))
     P[:3, :3] += motion_covariance(state.at[1:], row[1:], way)[0] - less
-    P[3:, 3:] += (1.0 - kept**2) * state.scale * np.diag(_SHARED**2)
+    P[3:, 3:] += (1.0 - kept**2) * _shared(state.known, state.scale)
     return se2.compose(state.pose, moved), kept * state.shared, P
 
 
@@ -169,7 +192,7 @@ def row_of(state: MapLocalizerState, row: PathRow) -> MapRow:
     k, _ = state.known.nearest(pose)
     A = se2.adjoint(se2.between(pose, state.known.poses[k]))
     covariance = P[:3, :3] + A @ state.known.covariances[k] @ A.T
-    return MapRow(row.stamp, pose, 0.5 * (covariance + covariance.T))
+    return MapRow(row.stamp, pose, 0.5 * (covariance + covariance.T), state.test.p)
 
 
 def _corrected(
@@ -189,27 +212,53 @@ def _corrected(
         return replace(state, refused=state.refused + 1), said._replace(
             reason=f"the nearest place of the map is {distance:.0f} m away"
         )
-    fit = fitted(state.known, k, features_of(scan, geometry, twist), pose, P[:3, :3])
-    if isinstance(fit, str):
-        return replace(state, refused=state.refused + 1), said._replace(reason=fit)
+    fit, evidence, reason = fitted(state.known, k, features_of(scan, geometry, twist), pose, P[:3, :3])
+    if reason:
+        test = _tested(state.test, evidence, CHI2, moving, False)
+        return replace(state, refused=state.refused + 1, test=test), said._replace(reason=reason)
+    assert fit is not None
+    assert evidence is not None
     H, r = _observation(pose, shared, fit)
-    R = fit.covariance + state.scale * _LEAST
+    blind, dof = fit.directions, 3 - len(fit.directions)
+    R = fit.covariance + state.scale * _LEAST + _NOTHING * blind.T @ blind
     S = H @ P @ H.T + R
     nis = float(r @ np.linalg.solve(S, r))
-    if moving:
+    usual = -math.log(evidence.share) < _RARE * state.test.usual[0][0]
+    agreeing = state.agreeing + 1 if usual and _agree(r, state.gated, R, _LIMITS[dof]) else 0
+    bent = nis >= _LIMITS[dof] and agreeing >= _BENT
+    if bent:
+        P[:3, :3] += np.outer(r, r)
+        S = H @ P @ H.T + R
+    taken = bent or nis < _LIMITS[dof]
+    test = _tested(state.test, evidence, 3.0 * nis / max(dof, 1), moving, taken)
+    state = replace(state, test=test, agreeing=0 if taken else agreeing, gated=r)
+    if moving and dof:
         part = max(_LEARNED, 1.0 / (2.0 + state.learned))
-        scale = state.scale * math.exp(part * (min(nis / 3.0, _MOST) - 1.0))
+        scale = state.scale * math.exp(part * (min(nis / dof, _MOST) - 1.0))
         state = replace(state, scale=min(max(scale, _SCALES[0]), _SCALES[1]), learned=state.learned + 1)
-    said = said._replace(innovation=r, nis=nis, dof=3)
-    if not nis < CHI2:
-        reason = f"NIS {nis:.1f} is above the gate {CHI2:.1f}"
+    said = said._replace(innovation=r, nis=nis, dof=dof)
+    if not taken:
+        reason = f"NIS {nis:.1f} is above the gate {_LIMITS[dof]:.1f}"
         return replace(state, refused=state.refused + 1), said._replace(status="gated", reason=reason)
     K = np.linalg.solve(S, H @ P).T
     d, left = K @ r, np.eye(6) - K @ H
     P = left @ P @ left.T + K @ R @ K.T
     reason = f"taken after {state.refused} fits in a row that were not" if state.refused else ""
+    reason += ", all of which agreed with it: the map bends" if bent else ""
     state = replace(state, pose=se2.retract(pose, d[:3]), shared=shared + d[3:], P=0.5 * (P + P.T), refused=0)
     return state, said._replace(status="used", reason=reason)
+
+
+def _tested(test: LostTest, evidence: Evidence | None, nis: float, moving: bool, taken: bool) -> LostTest:
+    """Take a fit into the test whether the base is lost, but where the map ends: it leaves too much open there."""
+    if evidence is None or evidence.covered < _SHOWN:
+        return test
+    return lost.step(test, evidence.share, nis, moving, taken)
+
+
+def _agree(r: np.ndarray, before: np.ndarray, R: np.ndarray, limit: float) -> bool:
+    """Whether the innovations of two fits after each other, each with a covariance R, are the same."""
+    return bool((r - before) @ np.linalg.solve(2.0 * R, r - before) < limit)
 
 
 def _observation(pose: np.ndarray, shared: np.ndarray, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
@@ -221,26 +270,34 @@ def _observation(pose: np.ndarray, shared: np.ndarray, fit: Fit) -> tuple[np.nda
 
 def fitted(
     known: KnownMap, k: int, scan: Features, pose: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"]
-) -> Fit | str:
+) -> tuple[Fit | None, Evidence | None, str]:
     """Fit a scan to the map about keyframe k, where the base is expected at a pose (3,) with a covariance (3, 3) of ξ.
 
-    The fit's pose is on the map. Returns why there is none, where too little of the scan agrees.
+    The fit's pose is on the map. Returns also what the beams say there, None where they say next to nothing, and why
+    the fit is none, or "".
     """
     reference, at = known.reference(k), se2.between(known.poses[k], pose)
     if math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[1])) > _WIDE:
         peak = Window(reference, sampled(scan), at, covariance).best(_FOUND)
         if peak is None:
-            return "nothing of the scan agrees with the map where the base is expected"
+            return None, None, "nothing of the scan agrees with the map where the base is expected"
         at = peak.pose
     free = WINDOW**2 * np.diag(covariance)
     fit = MATCHER.fit(scan, reference, Prior(at, NEAR, free, free), at)
-    overlap = fit.rows / max(scan.count, 1)
-    if not math.isfinite(fit.scale) or not np.isfinite(fit.pose).all():
-        return "the fit is not finite"
-    if overlap < _OVERLAP:
-        return f"{100 * overlap:.0f} % of the returns see a surface of the map; {100 * _OVERLAP:.0f} % are asked for"
-    if fit.inlier_ratio < _AGREES * overlap:
-        share = 100 * fit.inlier_ratio / overlap
-        return f"{share:.0f} % of the returns that see the map agree with it; {100 * _AGREES:.0f} % are asked for"
+    if fit.rows == 0 or not math.isfinite(fit.scale) or not np.isfinite(fit.pose).all():
+        return None, None, "no return of the scan is near a surface of the map"
+    on_map = se2.compose(known.poses[k], fit.pose)
+    evidence = known.evidence(k, scan, on_map)
+    if evidence.covered < _COVERED:
+        return (
+            None,
+            None,
+            f"the map covers {100 * evidence.covered:.0f} % of the beams; {100 * _COVERED:.0f} % are asked for",
+        )
+    if evidence.share < _AGREES:
+        reason = f"the map explains {100 * evidence.share:.0f} % of the beams that it covers; {100 * _AGREES:.0f} %"
+        return None, evidence, f"{reason} are asked for"
+    if fit.rows < _FEWEST:
+        return None, evidence, f"{fit.rows} returns see a surface of the map; {_FEWEST} are asked for"
     changed = fit.rows / max(fit.inlier_ratio * scan.count, 1.0)  # what has changed pulls at the fit
-    return replace(fit, pose=se2.compose(known.poses[k], fit.pose), covariance=changed * fit.covariance)
+    return replace(fit, pose=on_map, covariance=changed * fit.covariance), evidence, ""
