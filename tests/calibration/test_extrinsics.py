@@ -87,3 +87,10 @@ def test_slip_throughout_is_said(rng):
     displacement = motions.displacement * rng.uniform(-0.5, 1.0, (len(motions.displacement), 1))
     with pytest.raises(CalibrationError, match="the wheels slip throughout"):
         calibrate_motions(model, Motions(motions.turns, motions.spans, displacement))
+
+
+def test_a_laser_that_is_upside_down_is_said(rng):
+    model = wheel_model(DIFFERENTIAL)
+    motions = motions_of(rng, model, WHEELS, MOUNT, DRIVE)
+    with pytest.raises(CalibrationError, match="say that the sensor is upside down"):
+        calibrate_motions(model, motions._replace(displacement=motions.displacement * [1.0, -1.0, -1.0]))
