@@ -22,18 +22,28 @@ def test_wheels_and_laser_are_found_from_any_yaw(rng, yaw):
 
 @pytest.mark.parametrize("robot", [DIFFERENTIAL, MECANUM])
 def test_stated_covariances_are_of_the_size_of_the_errors(rng, robot):
-    """The mean NEES of runs of wheels that are as alike as assumed is the number of parameters within 30 %."""
+    """The mean NEES of runs of wheels and slip as assumed is the number of parameters within 30 %."""
     model = wheel_model(robot)
-    true = WHEELS if robot is DIFFERENTIAL else np.array([0.1012, 0.1014, 0.1009, 0.101, 0.41])
     drive = DRIVE if robot is DIFFERENTIAL else np.concatenate((DRIVE, sideways(80)))
     nees = []
     for _ in range(15):
-        motions = motions_of(rng, model, true, MOUNT, drive, (0.001, 0.0005, 0.002))
-        slip = rng.normal(size=motions.turns.shape) * 0.002
-        found = calibrate_motions(model, motions._replace(turns=motions.turns + slip), MOUNT, scale_deviation=0.0)
+        true = model.nominal * (1.0 + rng.normal(size=len(model.nominal)) * 0.01)
+        slip = rng.normal(size=len(model.slip)) * model.slip if len(model.slip) else None
+        motions = motions_of(rng, model, true, MOUNT, drive, (0.001, 0.0005, 0.002), slip=slip)
+        noise = rng.normal(size=motions.turns.shape) * 0.002
+        found = calibrate_motions(model, motions._replace(turns=motions.turns + noise), MOUNT, scale_deviation=0.0)
         e = found.values - [*true, *MOUNT]
         nees.append(e @ np.linalg.solve(found.covariance, e) / len(e))
     assert 0.7 < np.mean(nees) < 1.3
+
+
+def test_rollers_that_slip_sideways_change_neither_radii_nor_arm(rng):
+    model, true = wheel_model(MECANUM), np.array([0.1012, 0.1004, 0.0999, 0.101, 0.41])
+    drive = np.concatenate((DRIVE, sideways(80)))
+    slip = np.array([-0.02, 0.0, 0.0, 0.0, 0.0])
+    found = calibrate_motions(model, motions_of(rng, model, true, MOUNT, drive, slip=slip))
+    np.testing.assert_allclose(found.values[:5], true, rtol=0.006)
+    np.testing.assert_allclose(found.fit.slip[0], -0.02, atol=0.002)
 
 
 def test_motions_that_slip_are_left_out(rng):
@@ -77,3 +87,10 @@ def test_slip_throughout_is_said(rng):
     displacement = motions.displacement * rng.uniform(-0.5, 1.0, (len(motions.displacement), 1))
     with pytest.raises(CalibrationError, match="the wheels slip throughout"):
         calibrate_motions(model, Motions(motions.turns, motions.spans, displacement))
+
+
+def test_a_laser_that_is_upside_down_is_said(rng):
+    model = wheel_model(DIFFERENTIAL)
+    motions = motions_of(rng, model, WHEELS, MOUNT, DRIVE)
+    with pytest.raises(CalibrationError, match="say that the sensor is upside down"):
+        calibrate_motions(model, motions._replace(displacement=motions.displacement * [1.0, -1.0, -1.0]))

@@ -8,9 +8,12 @@ e = log(s⁻¹ · measured) most likely, under noise of a size that the residual
 R(l_θ) s_xy = (R(o_θ) - I) l_xy + scale · o_xy is linear in scale, l_x, l_y, cos l_θ and sin l_θ, of which the last two
 have the length 1, so that they are an eigenvector.
 
+**Priors.** Wheels of one make are alike within 1 %: the limits of ISO 2768-1, class "very coarse", are those of a
+standard deviation of 0.7 to 1.2 % for diameters of 100 to 200 mm. Slip of rollers: `longreach.calibration.wheels`.
+
 **Covariance.** H⁻¹ S H⁻¹: H is the information of the law, S the scatter of the motions' own contributions, with what
-correlation of neighbours adds to it (Newey & West 1987). What all motions
-share adds to it: lengths are only as good as the sensor's own scale.
+correlation of neighbours adds to it (Newey & West 1987; how far to look, Andrews 1991). Slip of rollers is taken out of
+both, with its prior. What all motions share adds to it: lengths are only as good as the sensor's own scale.
 
 Source: Censi, Franchi, Marchionni & Oriolo 2013, "Simultaneous calibration of odometry and sensor parameters for mobile
 robots". There noise is Gaussian, of given size, and a share of the worst motions is left out; Lange, Little & Taylor
@@ -34,22 +37,23 @@ _FALSE_ALARM = 1e-3  # share of good motions that the gate leaves out, under tha
 _ITERATIONS, _CHANGE = 60, 1e-7  # at most, and the change in units of `limits` that ends them
 _FLOOR = 1e-5  # of the noise [m, rad], which keeps the information of exact motions well conditioned
 _LEAST_TURN = 0.01  # [rad] of a motion, at which the closed form begins to see where the sensor is
-_ALIKE = 0.002  # deviation of wheels of one make from their mean radius [1]; benchmarks/calibration.py, Polimi
+_ALIKE = 0.01  # deviation of wheels of one make from their mean radius [1]; ISO 2768-1, see above
 _MOVED = 1e-3  # [m, rad]: less is standing
 _FEWEST = 20  # motions that a calibration takes
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What motions show of a model's parameters q = (wheels, sensor) (q,).
+    """What motions show of a model's parameters q = (wheels, sensor) (q,), and of slip (s,).
 
-    information (q, q): of all, whether they are observable or not. prior (q, q): of
-    the radii's ratios. scatter (q, q): S.
+    information (q, q): of all, whether they are observable or not. prior (q, q): of the radii's
+    ratios. scatter (q, q): S.
     residual (n, d): white e, and the wheels' disagreement. noise (d, d): Σ of a motion, in units of its own covariance
     where it has one. used (n,): whether it passed the gate.
     """
 
     values: Float[np.ndarray, " q"]
+    slip: Float[np.ndarray, " s"]
     information: Float[np.ndarray, "q q"]
     prior: Float[np.ndarray, "q q"]
     scatter: Float[np.ndarray, "q q"]
@@ -61,7 +65,10 @@ class Fit:
 def sensor_displacement(
     model: WheelModel, q: Float[np.ndarray, " q"], motions: Motions
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 q"]]:
-    """Return each displacement s of the sensor (n, 3) and its derivative (n, 3, q) in the sensor's frame at the end."""
+    """Return each displacement s of the sensor (n, 3) and its derivative (n, 3, q) in the sensor's frame at the end.
+
+    q = (wheels, slip, sensor).
+    """
     p, l = q[:-3], q[-3:]
     o, by_wheels = base_motion(model, p, motions)
     s = se2.compose(se2.compose(se2.inverse(l), o), l)
@@ -77,7 +84,7 @@ def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
     Raises CalibrationError where wheels and sensor turn opposite ways.
     """
     p, turned = model.nominal.copy(), motions.displacement[:, 2]
-    by_wheel = model.matrix(p)[0][2] * _turns(motions)
+    by_wheel = model.matrix(model.at_nominal)[0][2] * _turns(motions)
     by_wheel = by_wheel if model.names[-1] == "track_width" else by_wheel.sum(axis=1, keepdims=True)
     if np.ptp(turned) > 0.1 and np.linalg.matrix_rank(by_wheel, tol=0.1) == by_wheel.shape[1]:
         rate, _ = _robust_linear(by_wheel, turned)  # of the nominal heading, a wheel each or all together
@@ -90,7 +97,8 @@ def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
             p[:2] *= rate
         elif len(rate) == 1 and model.names[-1] == "k" and rate[0] > 0.2:
             p[-1] /= rate[0]
-    scale, mount = _mount_and_scale(base_motion(model, p, motions)[0], motions.displacement)
+    o, _ = base_motion(model, np.append(p, 0.0 * model.slip), motions)
+    scale, mount = _mount_and_scale(o, motions.displacement)
     lengths = np.array(model.units) == "m"
     if 0.2 < scale < 5.0:
         p[lengths] *= scale
@@ -150,11 +158,12 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
             f"There are {len(motions.spans)} motions between keyframes, and a calibration takes {_FEWEST} at least; "
             "drive for a minute, with turns and straight parts."
         )
-    unit, whiten, prior = limits(model), _whitening(model, motions), _alike(model)
-    nominal = np.concatenate((model.nominal, np.zeros(3)))
+    unit, whiten, alike, (stated, slip) = limits(model), _whitening(model, motions), _alike(model), _parts(model)
+    nominal = np.concatenate((model.at_nominal, np.zeros(3)))
+    q = np.insert(q, len(model.nominal), 0.0 * model.slip)
     residual, J = _residuals(model, q, motions, whiten)
     d = residual.shape[1]
-    noise, q = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2), q.copy()  # too large: what differs is not yet slip
+    noise = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2)  # too large: what differs is not yet slip
     gate = d * float(f_law.isf(_FALSE_ALARM, d, _NU))
     W, used, weight = np.linalg.inv(noise), np.ones(len(residual), dtype=bool), np.ones(len(residual))
     for _ in range(_ITERATIONS):
@@ -164,11 +173,11 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         weight = np.where(used, (_NU + d) / (_NU + square), 0.0)
         H = np.einsum("n,nij,ik,nkl->jl", weight, J, W, J)
         g = np.einsum("n,nij,ik,nk->j", weight, J, W, residual)
-        change = _solved(H + prior, g - prior @ (q - nominal), unit)
+        change = _solved(H + alike, g - alike @ (q - nominal), q, model, unit)
         q = q + change
         residual, J = _residuals(model, q, motions, whiten)
         noise = np.einsum("n,ni,nj->ij", weight, residual, residual) / max(used.sum(), 1) + _FLOOR**2 * np.eye(d)
-        if np.max(np.abs(change / unit)) < _CHANGE:
+        if np.max(np.abs(change[stated] / unit)) < _CHANGE:
             break
     s, _ = sensor_displacement(model, q, motions)
     moved = np.median(np.linalg.norm(s, axis=1))
@@ -180,24 +189,50 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         )
     scores = np.einsum("n,nij,ik,nk->nj", weight, J, W, residual)
     H = np.einsum("n,nij,ik,nkl->jl", used * (_NU + d) / (_NU + d + 2.0), J, W, J)
-    return Fit(q, H, prior, _long_run(scores), residual, noise, used)
+    T, information = _without_slip(H, model)
+    by_prior = T[:, slip] / model.slip
+    scatter, prior = T @ _long_run(scores) @ T.T + by_prior @ by_prior.T, alike[np.ix_(stated, stated)]
+    return Fit(q[stated], q[slip], information, prior, scatter, residual, noise, used)
+
+
+def _parts(model: WheelModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return where wheels and sensor are in (wheels, slip, sensor), and where slip is."""
+    p, n = len(model.nominal), len(model.slip)
+    return np.r_[:p, p + n : p + n + 3], np.arange(p, p + n)
 
 
 def _alike(model: WheelModel) -> np.ndarray:
-    """Return the information (q, q) of the prior that wheels of one make differ little from each other."""
-    radii = np.array([name.startswith("radius") for name in (*model.names, *MOUNT)])
+    """Return the information (q + s, q + s) of the prior that wheels of one make differ little from each other."""
+    names = (*model.names, *("",) * len(model.slip), *MOUNT)
+    radii = np.array([name.startswith("radius") for name in names])
     information = np.zeros((len(radii), len(radii)))
     if radii.any():
-        n, sigma = radii.sum(), _ALIKE * model.nominal[radii[:-3]].mean()
+        n, sigma = radii.sum(), _ALIKE * model.nominal[radii[: len(model.nominal)]].mean()
         information[np.ix_(radii, radii)] = (np.eye(n) - 1.0 / n) / sigma**2
     return information
 
 
-def _solved(H: np.ndarray, g: np.ndarray, D: np.ndarray) -> np.ndarray:
-    """Solve H x = g in the directions that H shows within D."""
-    values, V = np.linalg.eigh(D[:, None] * H * D)
+def _without_slip(H: np.ndarray, model: WheelModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return T (q, q + s) by which slip is eliminated from scores, given its prior, and the information T H (q, q)."""
+    stated, slip = _parts(model)
+    T = np.zeros((len(stated), len(H)))
+    T[np.arange(len(stated)), stated] = 1.0
+    T[:, slip] = -H[np.ix_(stated, slip)] @ np.linalg.inv(H[np.ix_(slip, slip)] + np.diag(model.slip**-2.0))
+    return T, (T @ H)[:, stated]
+
+
+def _solved(H: np.ndarray, g: np.ndarray, q: np.ndarray, model: WheelModel, D: np.ndarray) -> np.ndarray:
+    """Solve H x = g with the prior of slip; wheels and sensor change in the directions that H shows within D."""
+    (stated, slip), g = _parts(model), g.copy()
+    g[slip] -= q[slip] / model.slip**2
+    T, information = _without_slip(H, model)
+    values, V = np.linalg.eigh(D[:, None] * information * D)
     shown = values > 1.0
-    return D * (V[:, shown] @ ((V[:, shown].T @ (D * g)) / values[shown]))
+    x = np.zeros(len(H))
+    x[stated] = D * (V[:, shown] @ ((V[:, shown].T @ (D * (T @ g))) / values[shown]))
+    left = g[slip] - H[np.ix_(slip, stated)] @ x[stated]
+    x[slip] = np.linalg.solve(H[np.ix_(slip, slip)] + np.diag(model.slip**-2.0), left)
+    return x
 
 
 def _whitening(model: WheelModel, motions: Motions) -> np.ndarray:
@@ -220,22 +255,28 @@ def _residuals(model: WheelModel, q: np.ndarray, motions: Motions, whiten: np.nd
     s, J = sensor_displacement(model, q, motions)
     e = se2.difference(s, motions.displacement)
     if len(model.signs):
-        w = model.signs.shape[1]
-        slip = np.zeros((len(s), len(model.signs), len(q)))
-        slip[:, :, :w] = _turns(motions)[:, None, :] * model.signs
-        e = np.concatenate((e, -slip @ q), axis=1)
-        J = np.concatenate((J, slip), axis=1)
+        w, p = model.signs.shape[1], len(model.nominal)
+        radii, own = q[:w], slice(p + len(model.slip) - w, p + len(model.slip))
+        signed = _turns(motions)[:, None, :] * model.signs
+        unequal = np.zeros((len(s), len(model.signs), len(q)))
+        unequal[:, :, :w], unequal[:, :, own] = signed * (1.0 + q[own]), signed * radii
+        e = np.concatenate((e, -signed @ (radii * (1.0 + q[own]))), axis=1)
+        J = np.concatenate((J, unequal), axis=1)
     return np.einsum("nij,nj->ni", whiten, e), whiten @ J
 
 
 def _long_run(scores: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
-    """Return the covariance of the sum of scores that are correlated with their neighbours (Newey & West 1987).
+    """Return the covariance of the sum of scores that are correlated with their neighbours: Newey & West 1987,
+    as many neighbours as Andrews 1991 takes for the mean of all scores.
 
     Only where that adds to independent ones: that errors of neighbours cancel is not relied on, since two runs of the
     same robot differ by more than is left then.
     """
-    n = len(scores)
-    S, neighbours, lags = scores.T @ scores, np.zeros((scores.shape[1],) * 2), int(4.0 * (n / 100.0) ** (2.0 / 9.0))
+    n, power = len(scores), (scores**2).sum(axis=0) + 1e-150
+    rho = np.clip((scores[1:] * scores[:-1]).sum(axis=0) / power, -0.9, 0.9)  # of each as an AR(1): Andrews 1991, (6.4)
+    grown = float(np.mean(4.0 * rho**2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2)) / np.mean((1.0 - rho) ** -4.0))
+    lags = min(int(1.1447 * (grown * n) ** (1.0 / 3.0)), n // 4)
+    S, neighbours = scores.T @ scores, np.zeros((scores.shape[1],) * 2)
     for lag in range(1, lags + 1):
         shared = scores[lag:].T @ scores[:-lag]
         neighbours += (1.0 - lag / (lags + 1.0)) * (shared + shared.T)

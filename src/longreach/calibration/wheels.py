@@ -7,7 +7,9 @@ The twist of a base is linear in its wheels' turns u (w,) [rad], ξ = F(p) u, wi
     odometry      scales of x, y and heading, where the robot's own driver has made poses of its wheels
 
 Four mecanum wheels that roll keep r₀u₀ - r₁u₁ - r₂u₂ + r₃u₃ = 0 (front left, rear left, rear right, front right), so
-the ratios of their radii come from the encoders alone.
+the ratios of their radii come from the encoders alone. Rollers slip, as a rule more one way than another, and not all
+wheels alike. So p of mecanum wheels goes on with their slip, which has a prior at zero and is not stated: a share of
+all sideways motion, and a share σ_i of each wheel's own, with which the equation has r_i (1 + σ_i) in place of r_i.
 """
 
 from collections.abc import Callable
@@ -21,6 +23,7 @@ from longreach.geometry import se2
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import RobotDescription
 
+_SLIP = 0.02  # of rollers: largest share measured (forwards 0.3 %, turning 1.1 %, sideways 2.0 %), as a deviation
 _SMALL = 1e-4  # [rad]: below, series to second order are exact to rounding
 
 
@@ -42,7 +45,8 @@ class Motions(NamedTuple):
 class WheelModel(NamedTuple):
     """Parameters of the wheels: names, units, nominal values (p,), and F.
 
-    matrix: p → F (3, w) and its derivatives (p, 3, w). signs (c, w): Σ signs · r · u = 0 of each while wheels roll.
+    matrix: (p, slip) → F (3, w) and its derivatives (p + s, 3, w). signs (c, w): Σ signs · r · u = 0 of each while
+    wheels roll. slip (s,): deviations of the prior of slip.
     """
 
     names: tuple[str, ...]
@@ -50,6 +54,12 @@ class WheelModel(NamedTuple):
     nominal: Float[np.ndarray, " p"]
     matrix: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     signs: Float[np.ndarray, "c w"]
+    slip: Float[np.ndarray, " s"]
+
+    @property
+    def at_nominal(self) -> Float[np.ndarray, " p_s"]:
+        """Nominal values without slip, as `matrix` takes them."""
+        return np.concatenate((self.nominal, np.zeros(len(self.slip))))
 
 
 def wheel_model(robot: RobotDescription) -> WheelModel:
@@ -83,7 +93,7 @@ def _differential(base: DifferentialBase) -> WheelModel:
     radii = base.radii
     nominal = np.array([radii[left].mean(), radii[~left].mean(), base.track_width])
     names = ("radius_left", "radius_right", "track_width")
-    return WheelModel(names, ("m", "m", "m"), nominal, matrix, np.zeros((0, len(share))))
+    return WheelModel(names, ("m", "m", "m"), nominal, matrix, np.zeros((0, len(share))), np.zeros(0))
 
 
 def _mecanum(base: MecanumBase) -> WheelModel:
@@ -91,31 +101,31 @@ def _mecanum(base: MecanumBase) -> WheelModel:
     side = np.array([-1.0 if "left" in corner else 1.0 for corner in base.wheel_corners])
 
     def matrix(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r, k = p[:4], p[4]
-        unit = 0.25 * np.array([np.ones(4), -rollers, side / k])  # (3.21)
+        r, k, sideways = p[:4], p[4], 1.0 + p[5]
+        unit = 0.25 * np.array([np.ones(4), -rollers * sideways, side / k])  # (3.21)
         F = unit * r
-        by_arm = np.zeros_like(F)
-        by_arm[2] = -F[2] / k
-        return F, np.array([*(unit * np.eye(4)[i] for i in range(4)), by_arm])
+        by_arm, by_slip = np.zeros_like(F), np.zeros_like(F)
+        by_arm[2], by_slip[1] = -F[2] / k, F[1] / sideways
+        return F, np.array([*(unit * np.eye(4)[i] for i in range(4)), by_arm, by_slip, *np.zeros((4, 3, 4))])
 
     nominal = np.array([*base.radii, base.lever])
     names = (*(f"radius_{corner}" for corner in base.wheel_corners), "k")
     signs = np.array([[1.0 if "front" in corner else -1.0 for corner in base.wheel_corners]])
-    return WheelModel(names, ("m",) * 5, nominal, matrix, signs)
+    return WheelModel(names, ("m",) * 5, nominal, matrix, signs, np.full(5, _SLIP))
 
 
 def _scales(robot: RobotDescription) -> WheelModel:
     parts = np.array([np.diag(row) for row in np.eye(3)])
     names = ("scale_x", "scale_y", "scale_heading")
     return WheelModel(
-        names, ("1",) * 3, np.array(robot.odometry_scale), lambda p: (np.diag(p), parts), np.zeros((0, 3))
+        names, ("1",) * 3, np.array(robot.odometry_scale), lambda p: (np.diag(p), parts), np.zeros((0, 3)), np.zeros(0)
     )
 
 
 def base_motion(
     model: WheelModel, p: Float[np.ndarray, " p"], motions: Motions
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 p"]]:
-    """Return each motion of the base (n, 3), and its derivative with respect to p (n, 3, p) in the body frame.
+    """Return each motion of the base (n, 3), and its derivative with respect to p (with slip) in the body frame.
 
     Steps are composed; with poses P along all of them, a motion P_a⁻¹ P_b changes by Ad(P_b⁻¹) Σ Ad(P_j) J_r(ξ_j) dξ_j.
     """
