@@ -23,8 +23,11 @@ SKID = RobotDescription(
 
 
 def motions_of(rng, model, true, mount, twists, sigma=(0.001, 0.001, 0.001), steps=5):
-    """Motions of a base that is driven with `twists` (n, 3) in steps, each motion of equal steps."""
-    F, _ = model.matrix(true)
+    """Motions of a base that is driven with `twists` (n, 3) in steps, each motion of equal steps.
+
+    true: parameters of the wheels, after which systematic slip may follow.
+    """
+    F, _ = model.matrix(true[: len(model.nominal)])
     inverse = rolling(model, true) if len(model.signs) else np.linalg.pinv(F)
     turns = np.repeat(np.asarray(twists) @ inverse.T / steps, steps, axis=0)
     edges = np.arange(len(twists) + 1) * steps
@@ -35,9 +38,17 @@ def motions_of(rng, model, true, mount, twists, sigma=(0.001, 0.001, 0.001), ste
 
 
 def rolling(model, true):
-    """Turns of mecanum wheels that all roll: r w = 4 F' twist, with F's rows of unit radius and the arm k."""
-    G = 4.0 * model.matrix(np.array([1.0, 1.0, 1.0, 1.0, true[-1]]))[0].T
-    return G * [1.0, 1.0, true[-1] ** 2] / true[:4, None]
+    """Turns of mecanum wheels that all roll: r w = 4 F' twist, with F's rows of unit radius and the arm k.
+
+    With systematic slip they are those that move the base so all the same.
+    """
+    k, slip = true[4], true[5:]
+    G = 4.0 * model.matrix(np.array([1.0, 1.0, 1.0, 1.0, k]))[0].T
+    turns = G * [1.0, 1.0, k**2] / true[:4, None]
+    if len(slip) == 0:
+        return turns
+    whole = np.concatenate((model.matrix(true[:5])[0], model.signs * true[:4])) + np.tensordot(slip, model.slip, 1)
+    return np.linalg.inv(whole)[:, :3]
 
 
 def straight(n, v=0.1):

@@ -22,18 +22,34 @@ def test_wheels_and_laser_are_found_from_any_yaw(rng, yaw):
 
 @pytest.mark.parametrize("robot", [DIFFERENTIAL, MECANUM])
 def test_stated_covariances_are_of_the_size_of_the_errors(rng, robot):
-    """The mean NEES of runs of wheels that are as alike as assumed is the number of parameters within 30 %."""
-    model = wheel_model(robot)
-    true = WHEELS if robot is DIFFERENTIAL else np.array([0.1012, 0.1014, 0.1009, 0.101, 0.41])
-    drive = DRIVE if robot is DIFFERENTIAL else np.concatenate((DRIVE, sideways(80)))
-    nees = []
+    """The mean NEES of runs of wheels that differ and slip as assumed is the number of parameters within 30 %."""
+    model, nees = wheel_model(robot), []
     for _ in range(15):
+        true, drive = WHEELS, DRIVE
+        if robot is MECANUM:
+            radii = 0.1012 + rng.normal(size=4) * 0.00025
+            slip = rng.normal(size=len(model.slip)) * model.slip_deviation
+            true, drive = np.concatenate((radii, [0.41], slip)), np.concatenate((DRIVE, sideways(80)))
         motions = motions_of(rng, model, true, MOUNT, drive, (0.001, 0.0005, 0.002))
-        slip = rng.normal(size=motions.turns.shape) * 0.002
-        found = calibrate_motions(model, motions._replace(turns=motions.turns + slip), MOUNT, scale_deviation=0.0)
-        e = found.values - [*true, *MOUNT]
+        noise = rng.normal(size=motions.turns.shape) * 0.002
+        found = calibrate_motions(model, motions._replace(turns=motions.turns + noise), MOUNT, scale_deviation=0.0)
+        e = found.values - [*true[: len(model.nominal)], *MOUNT]
         nees.append(e @ np.linalg.solve(found.covariance, e) / len(e))
     assert 0.7 < np.mean(nees) < 1.3
+
+
+def test_slip_of_rollers_is_not_taken_for_radii_that_differ(rng):
+    """Of equal wheels the ratios of radii found are 1 within what is stated."""
+    model, inside = wheel_model(MECANUM), []
+    for _ in range(10):
+        slip = rng.normal(size=len(model.slip)) * model.slip_deviation
+        true = np.concatenate((np.full(4, 0.1), [0.4], slip))
+        motions = motions_of(rng, model, true, MOUNT, np.concatenate((DRIVE, sideways(80))))
+        found = calibrate_motions(model, motions, MOUNT)
+        ratios = np.eye(4)[:3] - 0.25
+        d, P = ratios @ found.values[:4], ratios @ found.covariance[:4, :4] @ ratios.T
+        inside.append(d @ np.linalg.solve(P, d) < 11.3)  # 1 % of a chi-square of 3 degrees of freedom
+    assert sum(inside) >= 9
 
 
 def test_motions_that_slip_are_left_out(rng):

@@ -34,25 +34,27 @@ _FALSE_ALARM = 1e-3  # share of good motions that the gate leaves out, under tha
 _ITERATIONS, _CHANGE = 60, 1e-7  # at most, and the change in units of `limits` that ends them
 _FLOOR = 1e-5  # of the noise [m, rad], which keeps the information of exact motions well conditioned
 _LEAST_TURN = 0.01  # [rad] of a motion, at which the closed form begins to see where the sensor is
-_ALIKE = 0.002  # deviation of wheels of one make from their mean radius [1]; benchmarks/calibration.py, Polimi
+# Wheels of one make differ by what a maker allows: ISO 2768-1, medium, by diameter up to [m], ± [m].
+_SIZES, _TOLERANCES = (0.006, 0.03, 0.12, 0.4, 1.0), (0.0001, 0.0002, 0.0003, 0.0005, 0.0008, 0.0012)
 _MOVED = 1e-3  # [m, rad]: less is standing
 _FEWEST = 20  # motions that a calibration takes
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What motions show of a model's parameters q = (wheels, sensor) (q,).
+    """What motions show of a model's parameters q = (wheels, sensor) (q,), and of the slip (s,) of its wheels.
 
-    information (q, q): of all, whether they are observable or not. prior (q, q): of
-    the radii's ratios. scatter (q, q): S.
+    information (q + s, q + s): of all, whether they are observable or not. prior (q + s, q + s): of the radii's ratios
+    and of slip. scatter (q + s, q + s): S.
     residual (n, d): white e, and the wheels' disagreement. noise (d, d): Σ of a motion, in units of its own covariance
     where it has one. used (n,): whether it passed the gate.
     """
 
     values: Float[np.ndarray, " q"]
-    information: Float[np.ndarray, "q q"]
-    prior: Float[np.ndarray, "q q"]
-    scatter: Float[np.ndarray, "q q"]
+    slip: Float[np.ndarray, " s"]
+    information: Float[np.ndarray, "k k"]
+    prior: Float[np.ndarray, "k k"]
+    scatter: Float[np.ndarray, "k k"]
     residual: Float[np.ndarray, "n d"]
     noise: Float[np.ndarray, "d d"]
     used: Bool[np.ndarray, " n"]
@@ -61,14 +63,19 @@ class Fit:
 def sensor_displacement(
     model: WheelModel, q: Float[np.ndarray, " q"], motions: Motions
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 q"]]:
-    """Return each displacement s of the sensor (n, 3) and its derivative (n, 3, q) in the sensor's frame at the end."""
-    p, l = q[:-3], q[-3:]
+    """Return each displacement s of the sensor (n, 3) and its derivative (n, 3, q) in the sensor's frame at the end.
+
+    q may go on with the model's slip (s,); so does the derivative.
+    """
+    n = len(model.nominal)
+    p, l = np.concatenate((q[:n], q[n + 3 :])), q[n : n + 3]
     o, by_wheels = base_motion(model, p, motions)
     s = se2.compose(se2.compose(se2.inverse(l), o), l)
-    c, n = np.cos(l[2]), np.sin(l[2])
-    turned = np.array([[c, n, 0.0], [-n, c, 0.0], [0.0, 0.0, 1.0]])
+    cosine, sine = np.cos(l[2]), np.sin(l[2])
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     by_mount = turned - adjoints(se2.inverse(s)) @ turned
-    return s, np.concatenate((se2.adjoint(se2.inverse(l)) @ by_wheels, by_mount), axis=2)
+    by_wheels = se2.adjoint(se2.inverse(l)) @ by_wheels
+    return s, np.concatenate((by_wheels[..., :n], by_mount, by_wheels[..., n:]), axis=2)
 
 
 def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
@@ -150,11 +157,16 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
             f"There are {len(motions.spans)} motions between keyframes, and a calibration takes {_FEWEST} at least; "
             "drive for a minute, with turns and straight parts."
         )
-    unit, whiten, prior = limits(model), _whitening(model, motions), _alike(model)
-    nominal = np.concatenate((model.nominal, np.zeros(3)))
+    unit, whiten, prior = (
+        np.concatenate((limits(model), model.slip_deviation)),
+        _whitening(model, motions),
+        _prior(model),
+    )
+    nominal, size = np.concatenate((model.nominal, np.zeros(3 + len(model.slip)))), len(q)
+    q = np.concatenate((q, np.zeros(len(model.slip))))
     residual, J = _residuals(model, q, motions, whiten)
     d = residual.shape[1]
-    noise, q = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2), q.copy()  # too large: what differs is not yet slip
+    noise = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2)  # too large: what differs is not yet slip
     gate = d * float(f_law.isf(_FALSE_ALARM, d, _NU))
     W, used, weight = np.linalg.inv(noise), np.ones(len(residual), dtype=bool), np.ones(len(residual))
     for _ in range(_ITERATIONS):
@@ -180,15 +192,16 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         )
     scores = np.einsum("n,nij,ik,nk->nj", weight, J, W, residual)
     H = np.einsum("n,nij,ik,nkl->jl", used * (_NU + d) / (_NU + d + 2.0), J, W, J)
-    return Fit(q, H, prior, _long_run(scores), residual, noise, used)
+    return Fit(q[:size], q[size:], H, prior, _long_run(scores), residual, noise, used)
 
 
-def _alike(model: WheelModel) -> np.ndarray:
-    """Return the information (q, q) of the prior that wheels of one make differ little from each other."""
-    radii = np.array([name.startswith("radius") for name in (*model.names, *MOUNT)])
-    information = np.zeros((len(radii), len(radii)))
+def _prior(model: WheelModel) -> np.ndarray:
+    """Return the information (q + s, q + s) of: wheels of one make differ little from each other, and slip little."""
+    radii = np.array([name.startswith("radius") for name in (*model.names, *MOUNT)] + [False] * len(model.slip))
+    information = np.diag(np.concatenate((np.zeros(len(model.names) + 3), model.slip_deviation**-2.0)))
     if radii.any():
-        n, sigma = radii.sum(), _ALIKE * model.nominal[radii[:-3]].mean()
+        n, radius = radii.sum(), model.nominal[radii[: len(model.names)]].mean()
+        sigma = 0.5 * _TOLERANCES[int(np.searchsorted(_SIZES, 2.0 * radius))]  # the limit, as one deviation: they wear
         information[np.ix_(radii, radii)] = (np.eye(n) - 1.0 / n) / sigma**2
     return information
 
@@ -222,7 +235,9 @@ def _residuals(model: WheelModel, q: np.ndarray, motions: Motions, whiten: np.nd
     if len(model.signs):
         w = model.signs.shape[1]
         slip = np.zeros((len(s), len(model.signs), len(q)))
-        slip[:, :, :w] = _turns(motions)[:, None, :] * model.signs
+        turns = _turns(motions)
+        slip[:, :, :w] = turns[:, None, :] * model.signs
+        slip[:, :, len(q) - len(model.slip) :] = np.einsum("scw,nw->ncs", model.slip[:, 3:], turns)
         e = np.concatenate((e, -slip @ q), axis=1)
         J = np.concatenate((J, slip), axis=1)
     return np.einsum("nij,nj->ni", whiten, e), whiten @ J
