@@ -60,6 +60,21 @@ def test_without_scans_or_reference_the_sentence_says_what_is_missing(drive):
         calibrate(drive.replace(wheels=()), DRIVER, use_truth=True)
 
 
+def test_three_seconds_of_data_and_standing_still_are_refused_with_what_to_drive(drive):
+    short = drive.replace(
+        wheels=drive.wheels[:60], truth=PoseTrajectory(drive.truth.stamps[:60], drive.truth.poses[:60])
+    )
+    with pytest.raises(CalibrationError, match="a calibration takes 20 at least; drive for a minute"):
+        calibrate(short, DRIVER, use_truth=True)
+    still = tuple(Odometry(w.stamp, pose=np.zeros(3)) for w in drive.wheels)
+    with pytest.raises(CalibrationError, match="No parameter is observable from this run by itself: drive straight"):
+        calibrate(
+            drive.replace(wheels=still, truth=PoseTrajectory(drive.truth.stamps, np.zeros((1200, 3)))),
+            DRIVER,
+            use_truth=True,
+        )
+
+
 def test_what_is_written_is_whole_and_can_be_used(drive, tmp_path):
     found = calibrate(drive, DRIVER, use_truth=True)
     write_calibration(found, tmp_path / "out")

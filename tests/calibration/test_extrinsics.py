@@ -73,11 +73,24 @@ def test_a_length_is_no_better_than_the_scale_of_the_sensor(rng):
     assert np.sqrt(ratio @ coarse.covariance @ ratio) < 0.1 * sigma[0]
 
 
-def test_wheels_that_are_exchanged_are_said(rng):
-    model = wheel_model(DIFFERENTIAL)
-    motions = motions_of(rng, model, WHEELS, MOUNT, DRIVE)
-    with pytest.raises(CalibrationError, match="exchange the left and the right wheels"):
-        calibrate_motions(model, motions._replace(turns=motions.turns[:, ::-1].copy()))
+@pytest.mark.parametrize("robot", [DIFFERENTIAL, MECANUM])
+@pytest.mark.parametrize("fault", ["wheels", "laser"])
+def test_wheels_that_are_exchanged_and_a_laser_that_is_upside_down_are_said(rng, robot, fault):
+    model = wheel_model(robot)
+    true, drive = (WHEELS, DRIVE) if robot is DIFFERENTIAL else (model.nominal, np.concatenate((DRIVE, sideways(80))))
+    motions = motions_of(rng, model, true, MOUNT, drive)
+    if fault == "wheels":
+        sides = ["left" in name for name in model.names[:-1]]
+        left, right = np.flatnonzero(sides), np.flatnonzero(np.logical_not(sides))
+        order = np.arange(len(sides))
+        order[left], order[right] = right, left
+        motions = motions._replace(turns=motions.turns[:, order].copy())
+    else:
+        motions = motions._replace(displacement=motions.displacement * [1.0, -1.0, -1.0])
+    with pytest.raises(
+        CalibrationError, match=r"exchange the left and the right wheels.*or say that the sensor is upside"
+    ):
+        calibrate_motions(model, motions, MOUNT)
 
 
 def test_too_few_motions_are_refused(rng):
