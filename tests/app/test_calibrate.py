@@ -88,7 +88,7 @@ def test_what_is_written_is_whole_and_can_be_used(drive, tmp_path):
     assert np.linalg.norm(after) < 0.2 * np.linalg.norm(found.before[found.used])
 
 
-def test_the_laser_and_the_wheels_of_a_simulated_base_are_found_from_its_scans(unchecked):
+def test_the_laser_and_the_wheels_of_a_simulated_base_are_found_from_its_scans(unchecked, tmp_path):
     thing = load_description("thing")
     true = thing.lidar.mount
     recording = lr.make_recording(thing, seed=1, duration=40.0, lidar_rate=10.0, beams=361)
@@ -105,6 +105,10 @@ def test_the_laser_and_the_wheels_of_a_simulated_base_are_found_from_its_scans(u
     assert abs(mount.yaw - true.yaw) < 0.01
     assert (mount.z, mount.roll, mount.pitch) == pytest.approx((true.z, true.roll, true.pitch))
     np.testing.assert_allclose(found.robot.base.radii, thing.base.radii, rtol=0.02)
+    write_calibration(found, tmp_path / "out")
+    again = load_description(tmp_path / "out" / "robot.yaml")
+    np.testing.assert_array_equal(again.base.forward_matrix, found.robot.base.forward_matrix)
+    assert again.lidar == found.robot.lidar
 
 
 def test_a_base_with_a_radius_a_wheel_undoes_its_own_inverse():
