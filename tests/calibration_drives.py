@@ -22,32 +22,33 @@ SKID = RobotDescription(
 )
 
 
-def without_slip(model, true):
-    """Parameters as the model's matrix takes them: those of the wheels, and slip of zero."""
-    return np.concatenate((true, np.zeros(len(model.slip))))
+def motions_of(rng, model, true, mount, twists, sigma=(0.001, 0.001, 0.001), steps=5):
+    """Motions of a base that is driven with `twists` (n, 3) in steps, each motion of equal steps.
 
-
-def motions_of(rng, model, true, mount, twists, sigma=(0.001, 0.001, 0.001), steps=5, slip=None):
-    """Motions of a base that is driven with `twists` (n, 3) in steps, each motion of equal steps."""
-    p = without_slip(model, true)
-    inverse = rolling(model, true) if len(model.signs) else np.linalg.pinv(model.matrix(p)[0])
-    if slip is not None:
-        p[len(true) :] = slip
-        slack = model.signs / true[:4]  # turns that move nothing
-        unequal = model.signs * true[:4] * (1.0 + slip[1:])
-        inverse = inverse - slack.T @ (unequal @ inverse) / (unequal @ slack.T)
+    true: parameters of the wheels, after which systematic slip may follow.
+    """
+    F, _ = model.matrix(true[: len(model.nominal)])
+    inverse = rolling(model, true) if len(model.signs) else np.linalg.pinv(F)
     turns = np.repeat(np.asarray(twists) @ inverse.T / steps, steps, axis=0)
     edges = np.arange(len(twists) + 1) * steps
     spans = np.column_stack((edges[:-1], edges[1:]))
-    o, _ = base_motion(model, p, Motions(turns, spans, np.zeros((len(twists), 3))))
+    o, _ = base_motion(model, true, Motions(turns, spans, np.zeros((len(twists), 3))))
     s = se2.compose(se2.compose(se2.inverse(mount), o), mount)
     return Motions(turns, spans, se2.retract(s, rng.normal(size=s.shape) * sigma))
 
 
 def rolling(model, true):
-    """Turns of mecanum wheels that all roll: r w = 4 F' twist, with F's rows of unit radius and the arm k."""
-    G = 4.0 * model.matrix(without_slip(model, [1.0, 1.0, 1.0, 1.0, true[-1]]))[0].T
-    return G * [1.0, 1.0, true[-1] ** 2] / true[:4, None]
+    """Turns of mecanum wheels that all roll: r w = 4 F' twist, with F's rows of unit radius and the arm k.
+
+    With systematic slip they are those that move the base so all the same.
+    """
+    k, slip = true[4], true[5:]
+    G = 4.0 * model.matrix(np.array([1.0, 1.0, 1.0, 1.0, k]))[0].T
+    turns = G * [1.0, 1.0, k**2] / true[:4, None]
+    if len(slip) == 0:
+        return turns
+    whole = np.concatenate((model.matrix(true[:5])[0], model.signs * true[:4])) + np.tensordot(slip, model.slip, 1)
+    return np.linalg.inv(whole)[:, :3]
 
 
 def straight(n, v=0.1):

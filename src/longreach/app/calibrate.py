@@ -110,10 +110,8 @@ def calibrate(
         name: Parameter(value, s if is_shown else None, nominal, unit, is_shown)
         for name, (value, s, nominal, unit, is_shown) in zip(names, rows, strict=True)
     }
-    before, after = (
-        _left(model, np.concatenate((wheels, 0.0 * model.slip, found.fit.values[-3:])), motions)
-        for wheels in (found.nominal[:-3], found.values[:-3])
-    )
+    before = _left(model, np.concatenate((found.nominal[:-3], found.fit.values[-3:])), motions)
+    after = _left(model, np.concatenate((found.values[:-3], found.fit.values[-3:])), motions)
     remarks = tuple(not_shown(name) for name, p in parameters.items() if not p.observable)
     used = found.fit.used
     changed = calibrated_description(description, model, found, None if by_truth else mount, recordings[0])

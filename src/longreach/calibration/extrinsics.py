@@ -8,12 +8,9 @@ e = log(s⁻¹ · measured) most likely, under noise of a size that the residual
 R(l_θ) s_xy = (R(o_θ) - I) l_xy + scale · o_xy is linear in scale, l_x, l_y, cos l_θ and sin l_θ, of which the last two
 have the length 1, so that they are an eigenvector.
 
-**Priors.** Wheels of one make are alike within 1 %: the limits of ISO 2768-1, class "very coarse", are those of a
-standard deviation of 0.7 to 1.2 % for diameters of 100 to 200 mm. Slip of rollers: `longreach.calibration.wheels`.
-
 **Covariance.** H⁻¹ S H⁻¹: H is the information of the law, S the scatter of the motions' own contributions, with what
-correlation of neighbours adds to it (Newey & West 1987; how far to look, Andrews 1991). Slip of rollers is taken out of
-both, with its prior. What all motions share adds to it: lengths are only as good as the sensor's own scale.
+correlation of neighbours adds to it (Newey & West 1987). What all motions
+share adds to it: lengths are only as good as the sensor's own scale.
 
 Source: Censi, Franchi, Marchionni & Oriolo 2013, "Simultaneous calibration of odometry and sensor parameters for mobile
 robots". There noise is Gaussian, of given size, and a share of the worst motions is left out; Lange, Little & Taylor
@@ -37,26 +34,27 @@ _FALSE_ALARM = 1e-3  # share of good motions that the gate leaves out, under tha
 _ITERATIONS, _CHANGE = 60, 1e-7  # at most, and the change in units of `limits` that ends them
 _FLOOR = 1e-5  # of the noise [m, rad], which keeps the information of exact motions well conditioned
 _LEAST_TURN = 0.01  # [rad] of a motion, at which the closed form begins to see where the sensor is
-_ALIKE = 0.01  # deviation of wheels of one make from their mean radius [1]; ISO 2768-1, see above
+# Wheels of one make differ by what a maker allows: ISO 2768-1, medium, by diameter up to [m], ± [m].
+_SIZES, _TOLERANCES = (0.006, 0.03, 0.12, 0.4, 1.0), (0.0001, 0.0002, 0.0003, 0.0005, 0.0008, 0.0012)
 _MOVED = 1e-3  # [m, rad]: less is standing
 _FEWEST = 20  # motions that a calibration takes
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What motions show of a model's parameters q = (wheels, sensor) (q,), and of slip (s,).
+    """What motions show of a model's parameters q = (wheels, sensor) (q,), and of the slip (s,) of its wheels.
 
-    information (q, q): of all, whether they are observable or not. prior (q, q): of the radii's
-    ratios. scatter (q, q): S.
+    information (q + s, q + s): of all, whether they are observable or not. prior (q + s, q + s): of the radii's ratios
+    and of slip. scatter (q + s, q + s): S.
     residual (n, d): white e, and the wheels' disagreement. noise (d, d): Σ of a motion, in units of its own covariance
     where it has one. used (n,): whether it passed the gate.
     """
 
     values: Float[np.ndarray, " q"]
     slip: Float[np.ndarray, " s"]
-    information: Float[np.ndarray, "q q"]
-    prior: Float[np.ndarray, "q q"]
-    scatter: Float[np.ndarray, "q q"]
+    information: Float[np.ndarray, "k k"]
+    prior: Float[np.ndarray, "k k"]
+    scatter: Float[np.ndarray, "k k"]
     residual: Float[np.ndarray, "n d"]
     noise: Float[np.ndarray, "d d"]
     used: Bool[np.ndarray, " n"]
@@ -67,15 +65,17 @@ def sensor_displacement(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 q"]]:
     """Return each displacement s of the sensor (n, 3) and its derivative (n, 3, q) in the sensor's frame at the end.
 
-    q = (wheels, slip, sensor).
+    q may go on with the model's slip (s,); so does the derivative.
     """
-    p, l = q[:-3], q[-3:]
+    n = len(model.nominal)
+    p, l = np.concatenate((q[:n], q[n + 3 :])), q[n : n + 3]
     o, by_wheels = base_motion(model, p, motions)
     s = se2.compose(se2.compose(se2.inverse(l), o), l)
-    c, n = np.cos(l[2]), np.sin(l[2])
-    turned = np.array([[c, n, 0.0], [-n, c, 0.0], [0.0, 0.0, 1.0]])
+    cosine, sine = np.cos(l[2]), np.sin(l[2])
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     by_mount = turned - adjoints(se2.inverse(s)) @ turned
-    return s, np.concatenate((se2.adjoint(se2.inverse(l)) @ by_wheels, by_mount), axis=2)
+    by_wheels = se2.adjoint(se2.inverse(l)) @ by_wheels
+    return s, np.concatenate((by_wheels[..., :n], by_mount, by_wheels[..., n:]), axis=2)
 
 
 def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
@@ -84,7 +84,7 @@ def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
     Raises CalibrationError where wheels and sensor turn opposite ways.
     """
     p, turned = model.nominal.copy(), motions.displacement[:, 2]
-    by_wheel = model.matrix(model.at_nominal)[0][2] * _turns(motions)
+    by_wheel = model.matrix(p)[0][2] * _turns(motions)
     by_wheel = by_wheel if model.names[-1] == "track_width" else by_wheel.sum(axis=1, keepdims=True)
     if np.ptp(turned) > 0.1 and np.linalg.matrix_rank(by_wheel, tol=0.1) == by_wheel.shape[1]:
         rate, _ = _robust_linear(by_wheel, turned)  # of the nominal heading, a wheel each or all together
@@ -97,8 +97,7 @@ def start(model: WheelModel, motions: Motions) -> Float[np.ndarray, " q"]:
             p[:2] *= rate
         elif len(rate) == 1 and model.names[-1] == "k" and rate[0] > 0.2:
             p[-1] /= rate[0]
-    o, _ = base_motion(model, np.append(p, 0.0 * model.slip), motions)
-    scale, mount = _mount_and_scale(o, motions.displacement)
+    scale, mount = _mount_and_scale(base_motion(model, p, motions)[0], motions.displacement)
     lengths = np.array(model.units) == "m"
     if 0.2 < scale < 5.0:
         p[lengths] *= scale
@@ -158,9 +157,13 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
             f"There are {len(motions.spans)} motions between keyframes, and a calibration takes {_FEWEST} at least; "
             "drive for a minute, with turns and straight parts."
         )
-    unit, whiten, alike, (stated, slip) = limits(model), _whitening(model, motions), _alike(model), _parts(model)
-    nominal = np.concatenate((model.at_nominal, np.zeros(3)))
-    q = np.insert(q, len(model.nominal), 0.0 * model.slip)
+    unit, whiten, prior = (
+        np.concatenate((limits(model), model.slip_deviation)),
+        _whitening(model, motions),
+        _prior(model),
+    )
+    nominal, size = np.concatenate((model.nominal, np.zeros(3 + len(model.slip)))), len(q)
+    q = np.concatenate((q, np.zeros(len(model.slip))))
     residual, J = _residuals(model, q, motions, whiten)
     d = residual.shape[1]
     noise = np.diag(np.mean(residual**2, axis=0) + _FLOOR**2)  # too large: what differs is not yet slip
@@ -173,11 +176,11 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         weight = np.where(used, (_NU + d) / (_NU + square), 0.0)
         H = np.einsum("n,nij,ik,nkl->jl", weight, J, W, J)
         g = np.einsum("n,nij,ik,nk->j", weight, J, W, residual)
-        change = _solved(H + alike, g - alike @ (q - nominal), q, model, unit)
+        change = _solved(H + prior, g - prior @ (q - nominal), unit)
         q = q + change
         residual, J = _residuals(model, q, motions, whiten)
         noise = np.einsum("n,ni,nj->ij", weight, residual, residual) / max(used.sum(), 1) + _FLOOR**2 * np.eye(d)
-        if np.max(np.abs(change[stated] / unit)) < _CHANGE:
+        if np.max(np.abs(change / unit)) < _CHANGE:
             break
     s, _ = sensor_displacement(model, q, motions)
     moved = np.median(np.linalg.norm(s, axis=1))
@@ -189,50 +192,25 @@ def fit(model: WheelModel, motions: Motions, q: Float[np.ndarray, " q"]) -> Fit:
         )
     scores = np.einsum("n,nij,ik,nk->nj", weight, J, W, residual)
     H = np.einsum("n,nij,ik,nkl->jl", used * (_NU + d) / (_NU + d + 2.0), J, W, J)
-    T, information = _without_slip(H, model)
-    by_prior = T[:, slip] / model.slip
-    scatter, prior = T @ _long_run(scores) @ T.T + by_prior @ by_prior.T, alike[np.ix_(stated, stated)]
-    return Fit(q[stated], q[slip], information, prior, scatter, residual, noise, used)
+    return Fit(q[:size], q[size:], H, prior, _long_run(scores), residual, noise, used)
 
 
-def _parts(model: WheelModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return where wheels and sensor are in (wheels, slip, sensor), and where slip is."""
-    p, n = len(model.nominal), len(model.slip)
-    return np.r_[:p, p + n : p + n + 3], np.arange(p, p + n)
-
-
-def _alike(model: WheelModel) -> np.ndarray:
-    """Return the information (q + s, q + s) of the prior that wheels of one make differ little from each other."""
-    names = (*model.names, *("",) * len(model.slip), *MOUNT)
-    radii = np.array([name.startswith("radius") for name in names])
-    information = np.zeros((len(radii), len(radii)))
+def _prior(model: WheelModel) -> np.ndarray:
+    """Return the information (q + s, q + s) of: wheels of one make differ little from each other, and slip little."""
+    radii = np.array([name.startswith("radius") for name in (*model.names, *MOUNT)] + [False] * len(model.slip))
+    information = np.diag(np.concatenate((np.zeros(len(model.names) + 3), model.slip_deviation**-2.0)))
     if radii.any():
-        n, sigma = radii.sum(), _ALIKE * model.nominal[radii[: len(model.nominal)]].mean()
+        n, radius = radii.sum(), model.nominal[radii[: len(model.names)]].mean()
+        sigma = 0.5 * _TOLERANCES[int(np.searchsorted(_SIZES, 2.0 * radius))]  # the limit, as one deviation: they wear
         information[np.ix_(radii, radii)] = (np.eye(n) - 1.0 / n) / sigma**2
     return information
 
 
-def _without_slip(H: np.ndarray, model: WheelModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return T (q, q + s) by which slip is eliminated from scores, given its prior, and the information T H (q, q)."""
-    stated, slip = _parts(model)
-    T = np.zeros((len(stated), len(H)))
-    T[np.arange(len(stated)), stated] = 1.0
-    T[:, slip] = -H[np.ix_(stated, slip)] @ np.linalg.inv(H[np.ix_(slip, slip)] + np.diag(model.slip**-2.0))
-    return T, (T @ H)[:, stated]
-
-
-def _solved(H: np.ndarray, g: np.ndarray, q: np.ndarray, model: WheelModel, D: np.ndarray) -> np.ndarray:
-    """Solve H x = g with the prior of slip; wheels and sensor change in the directions that H shows within D."""
-    (stated, slip), g = _parts(model), g.copy()
-    g[slip] -= q[slip] / model.slip**2
-    T, information = _without_slip(H, model)
-    values, V = np.linalg.eigh(D[:, None] * information * D)
+def _solved(H: np.ndarray, g: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """Solve H x = g in the directions that H shows within D."""
+    values, V = np.linalg.eigh(D[:, None] * H * D)
     shown = values > 1.0
-    x = np.zeros(len(H))
-    x[stated] = D * (V[:, shown] @ ((V[:, shown].T @ (D * (T @ g))) / values[shown]))
-    left = g[slip] - H[np.ix_(slip, stated)] @ x[stated]
-    x[slip] = np.linalg.solve(H[np.ix_(slip, slip)] + np.diag(model.slip**-2.0), left)
-    return x
+    return D * (V[:, shown] @ ((V[:, shown].T @ (D * g)) / values[shown]))
 
 
 def _whitening(model: WheelModel, motions: Motions) -> np.ndarray:
@@ -255,28 +233,24 @@ def _residuals(model: WheelModel, q: np.ndarray, motions: Motions, whiten: np.nd
     s, J = sensor_displacement(model, q, motions)
     e = se2.difference(s, motions.displacement)
     if len(model.signs):
-        w, p = model.signs.shape[1], len(model.nominal)
-        radii, own = q[:w], slice(p + len(model.slip) - w, p + len(model.slip))
-        signed = _turns(motions)[:, None, :] * model.signs
-        unequal = np.zeros((len(s), len(model.signs), len(q)))
-        unequal[:, :, :w], unequal[:, :, own] = signed * (1.0 + q[own]), signed * radii
-        e = np.concatenate((e, -signed @ (radii * (1.0 + q[own]))), axis=1)
-        J = np.concatenate((J, unequal), axis=1)
+        w = model.signs.shape[1]
+        slip = np.zeros((len(s), len(model.signs), len(q)))
+        turns = _turns(motions)
+        slip[:, :, :w] = turns[:, None, :] * model.signs
+        slip[:, :, len(q) - len(model.slip) :] = np.einsum("scw,nw->ncs", model.slip[:, 3:], turns)
+        e = np.concatenate((e, -slip @ q), axis=1)
+        J = np.concatenate((J, slip), axis=1)
     return np.einsum("nij,nj->ni", whiten, e), whiten @ J
 
 
 def _long_run(scores: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
-    """Return the covariance of the sum of scores that are correlated with their neighbours: Newey & West 1987,
-    as many neighbours as Andrews 1991 takes for the mean of all scores.
+    """Return the covariance of the sum of scores that are correlated with their neighbours (Newey & West 1987).
 
     Only where that adds to independent ones: that errors of neighbours cancel is not relied on, since two runs of the
     same robot differ by more than is left then.
     """
-    n, power = len(scores), (scores**2).sum(axis=0) + 1e-150
-    rho = np.clip((scores[1:] * scores[:-1]).sum(axis=0) / power, -0.9, 0.9)  # of each as an AR(1): Andrews 1991, (6.4)
-    grown = float(np.mean(4.0 * rho**2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2)) / np.mean((1.0 - rho) ** -4.0))
-    lags = min(int(1.1447 * (grown * n) ** (1.0 / 3.0)), n // 4)
-    S, neighbours = scores.T @ scores, np.zeros((scores.shape[1],) * 2)
+    n = len(scores)
+    S, neighbours, lags = scores.T @ scores, np.zeros((scores.shape[1],) * 2), int(4.0 * (n / 100.0) ** (2.0 / 9.0))
     for lag in range(1, lags + 1):
         shared = scores[lag:].T @ scores[:-lag]
         neighbours += (1.0 - lag / (lags + 1.0)) * (shared + shared.T)

@@ -63,15 +63,18 @@ def calibrate_motions(
 
 def _shown(model: WheelModel, found: Fit, scale_deviation: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the covariance (q, q), what is observable (q,), and in how many directions."""
-    D = limits(model)
-    values, V = np.linalg.eigh(D[:, None] * found.information * D)
+    D, H, prior = limits(model), found.information, found.prior
+    q = len(D)
+    slip = np.linalg.solve(H[q:, q:] + prior[q:, q:], H[q:, :q])  # what motions say of slip, they do not say of q
+    values, V = np.linalg.eigh(D[:, None] * (H[:q, :q] - H[:q, q:] @ slip) * D)
     good = values > 1.0
-    seen = D[:, None] * V[:, good]
-    inverse = seen @ np.linalg.inv(seen.T @ (found.information + found.prior) @ seen) @ seen.T
+    seen = np.eye(len(H))[:, q - good.sum() :]
+    seen[:q, : good.sum()] = D[:, None] * V[:, good]
+    inverse = seen @ np.linalg.inv(seen.T @ (H + prior) @ seen) @ seen.T
     kinds = zip((*model.names, *MOUNT), (*model.units, "m", "m", "rad"), strict=True)
     lengths = np.array([kind == "m" or name in ("scale_x", "scale_y") for name, kind in kinds])
     common = np.where(lengths, scale_deviation * found.values, 0.0)
-    covariance = inverse @ (found.scatter + found.prior) @ inverse + np.outer(common, common)
+    covariance = (inverse @ (found.scatter + prior) @ inverse)[:q, :q] + np.outer(common, common)
     inside = (V[:, good] ** 2).sum(axis=1)
     observable = (inside > 1.0 - _PART) & (np.sqrt(np.diag(covariance)) < D)
     observable[-3:-1] = observable[-3:-1].all()  # a turn of the sensor about the base's centre changes x or y, or both

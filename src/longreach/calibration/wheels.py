@@ -7,9 +7,9 @@ The twist of a base is linear in its wheels' turns u (w,) [rad], ξ = F(p) u, wi
     odometry      scales of x, y and heading, where the robot's own driver has made poses of its wheels
 
 Four mecanum wheels that roll keep r₀u₀ - r₁u₁ - r₂u₂ + r₃u₃ = 0 (front left, rear left, rear right, front right), so
-the ratios of their radii come from the encoders alone. Rollers slip, as a rule more one way than another, and not all
-wheels alike. So p of mecanum wheels goes on with their slip, which has a prior at zero and is not stated: a share of
-all sideways motion, and a share σ_i of each wheel's own, with which the equation has r_i (1 + σ_i) in place of r_i.
+the ratios of their radii come from the encoders alone, as far as the rollers do not slip. They do, and not by chance:
+a motion forwards, sideways or in a turn adds a share of itself to every row of F, and to that equation. These shares
+are estimated too, and not reported: they keep slip from looking like radii that differ.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,11 @@ from longreach.geometry import se2
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import RobotDescription
 
-_SLIP = 0.02  # of rollers: largest share measured (forwards 0.3 %, turning 1.1 %, sideways 2.0 %), as a deviation
+_SLIP = (
+    0.003,
+    0.02,
+    0.011,
+)  # of rollers, of a motion forwards, sideways and turning [1]: simulated physics, good floor
 _SMALL = 1e-4  # [rad]: below, series to second order are exact to rounding
 
 
@@ -45,8 +49,8 @@ class Motions(NamedTuple):
 class WheelModel(NamedTuple):
     """Parameters of the wheels: names, units, nominal values (p,), and F.
 
-    matrix: (p, slip) → F (3, w) and its derivatives (p + s, 3, w). signs (c, w): Σ signs · r · u = 0 of each while
-    wheels roll. slip (s,): deviations of the prior of slip.
+    matrix: p → F (3, w) and its derivatives (p, 3, w). signs (c, w): Σ signs · r · u = 0 of each while wheels roll.
+    slip (s, 3 + c, w): what systematic slip of 1 adds to F and to signs · r. slip_deviation (s,): of it, about 0.
     """
 
     names: tuple[str, ...]
@@ -54,12 +58,8 @@ class WheelModel(NamedTuple):
     nominal: Float[np.ndarray, " p"]
     matrix: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     signs: Float[np.ndarray, "c w"]
-    slip: Float[np.ndarray, " s"]
-
-    @property
-    def at_nominal(self) -> Float[np.ndarray, " p_s"]:
-        """Nominal values without slip, as `matrix` takes them."""
-        return np.concatenate((self.nominal, np.zeros(len(self.slip))))
+    slip: Float[np.ndarray, "s d w"]
+    slip_deviation: Float[np.ndarray, " s"]
 
 
 def wheel_model(robot: RobotDescription) -> WheelModel:
@@ -93,7 +93,7 @@ def _differential(base: DifferentialBase) -> WheelModel:
     radii = base.radii
     nominal = np.array([radii[left].mean(), radii[~left].mean(), base.track_width])
     names = ("radius_left", "radius_right", "track_width")
-    return WheelModel(names, ("m", "m", "m"), nominal, matrix, np.zeros((0, len(share))), np.zeros(0))
+    return WheelModel(names, ("m", "m", "m"), nominal, matrix, *_no_slip(len(share)))
 
 
 def _mecanum(base: MecanumBase) -> WheelModel:
@@ -101,35 +101,49 @@ def _mecanum(base: MecanumBase) -> WheelModel:
     side = np.array([-1.0 if "left" in corner else 1.0 for corner in base.wheel_corners])
 
     def matrix(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r, k, sideways = p[:4], p[4], 1.0 + p[5]
-        unit = 0.25 * np.array([np.ones(4), -rollers * sideways, side / k])  # (3.21)
+        r, k = p[:4], p[4]
+        unit = 0.25 * np.array([np.ones(4), -rollers, side / k])  # (3.21)
         F = unit * r
-        by_arm, by_slip = np.zeros_like(F), np.zeros_like(F)
-        by_arm[2], by_slip[1] = -F[2] / k, F[1] / sideways
-        return F, np.array([*(unit * np.eye(4)[i] for i in range(4)), by_arm, by_slip, *np.zeros((4, 3, 4))])
+        by_arm = np.zeros_like(F)
+        by_arm[2] = -F[2] / k
+        return F, np.array([*(unit * np.eye(4)[i] for i in range(4)), by_arm])
 
     nominal = np.array([*base.radii, base.lever])
     names = (*(f"radius_{corner}" for corner in base.wheel_corners), "k")
     signs = np.array([[1.0 if "front" in corner else -1.0 for corner in base.wheel_corners]])
-    return WheelModel(names, ("m",) * 5, nominal, matrix, signs, np.full(5, _SLIP))
+    unit = np.array([[1.0], [1.0], [base.lever], [4.0]])  # all four rows as ways of a wheel [m]
+    ways = unit[:3] * matrix(nominal)[0]
+    own = [(0, 0), (2, 2)]  # slip of a radius along its own way, and of k: part of these
+    pairs = [(row, column) for column in range(3) for row in range(4) if (row, column) not in own]
+    slip = np.zeros((len(pairs), 4, 4))
+    for part, (row, column) in zip(slip, pairs, strict=True):
+        part[row] = ways[column] * (unit[row] if row == 3 else 1.0 / unit[row])
+    deviation = np.array([_SLIP[column] for _, column in pairs])
+    return WheelModel(names, ("m",) * 5, nominal, matrix, signs, slip, deviation)
 
 
 def _scales(robot: RobotDescription) -> WheelModel:
     parts = np.array([np.diag(row) for row in np.eye(3)])
     names = ("scale_x", "scale_y", "scale_heading")
-    return WheelModel(
-        names, ("1",) * 3, np.array(robot.odometry_scale), lambda p: (np.diag(p), parts), np.zeros((0, 3)), np.zeros(0)
-    )
+    return WheelModel(names, ("1",) * 3, np.array(robot.odometry_scale), lambda p: (np.diag(p), parts), *_no_slip(3))
+
+
+def _no_slip(w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.zeros((0, w)), np.zeros((0, 3, w)), np.zeros(0)
 
 
 def base_motion(
     model: WheelModel, p: Float[np.ndarray, " p"], motions: Motions
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 p"]]:
-    """Return each motion of the base (n, 3), and its derivative with respect to p (with slip) in the body frame.
+    """Return each motion of the base (n, 3), and its derivative with respect to p (n, 3, p) in the body frame.
 
-    Steps are composed; with poses P along all of them, a motion P_a⁻¹ P_b changes by Ad(P_b⁻¹) Σ Ad(P_j) J_r(ξ_j) dξ_j.
+    p may end in the model's slip (s,). Steps are composed; with poses P along all of them, a motion P_a⁻¹ P_b changes
+    by Ad(P_b⁻¹) Σ Ad(P_j) J_r(ξ_j) dξ_j.
     """
-    F, dF = model.matrix(p)
+    n = len(model.nominal)
+    F, dF = model.matrix(p[:n])
+    if len(p) > n:
+        F, dF = F + np.tensordot(p[n:], model.slip[:, :3], 1), np.concatenate((dF, model.slip[:, :3]))
     xi = motions.turns @ F.T
     P = _path(xi)
     ends = P[motions.spans]
