@@ -65,6 +65,7 @@ class LidarConfig(BaseModel):
     prior_motion: float = Field(default=0.2, gt=0, description="Deviation over the predicted motion: wheels slip [1].")
     prior_acceleration: tuple[float, float] = Field(default=(1.0, 2.0), description="Unknown ones [m/s², rad/s²].")
     known: float = Field(default=3.0, ge=1, description="Information over that from errors of directions [1]; ours.")
+    chance: float = Field(default=0.075, ge=0, description="Part of a direction's returns that agrees by chance [1].")
     common: float = Field(default=0.02, ge=0, description="Of the ranges' noise, the part common to all beams [1].")
     surface: float = Field(default=0.0, ge=0, description="The part common to beams that see one surface [1].")
     coarse: float = Field(default=0.4, gt=0, description="Radius of a surface in the first fit [m].")

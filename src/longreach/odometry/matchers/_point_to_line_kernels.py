@@ -16,13 +16,12 @@ from longreach.kernels import kernel
 from longreach.odometry._local_map_kernels import surface_rows
 from longreach.odometry.matchers._feature_kernels import smallest
 
-FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known common surface coarse fine")
+FitSettings = namedtuple("FitSettings", "iterations gate grazing worst flat known chance common surface coarse fine")
 ROWS = 8  # numbers kept of a matched point
 _AGREE = 6.0  # residuals that agree, about: a point shows less than its scatter says, against the prior
 _SURFACE = 16  # neighbouring rows whose residuals may agree
 _LINE = 32  # rows that share a line at most
 _FEW = 150  # points that the coarse fit takes
-_BY_CHANCE = 0.075  # share of what a scan shows of a direction that lies near a surface by chance, about; ours
 _NEAR = 0.1  # [m]: a prior this sure needs no coarse fit
 
 
@@ -135,11 +134,12 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
     n, scale, step = 0, 0.0, math.inf
     pull, d, sigma = np.empty((2, 3)), np.empty(3), prior.sigma
     observable[:] = 1.0
+    is_settled = False
     coarse, wide, agrees = sigma[0] + sigma[1] + reach * sigma[2] > _NEAR, 1.0, 0.0
     for iteration in range(settings.iterations):
         radius, stride = (settings.coarse, max(m // _FEW, 1)) if coarse else (settings.fine, 1)
         if step < 0.1 * noise and not coarse:
-            agrees = _BY_CHANCE  # from here on residuals are small where they are at all
+            is_settled, agrees = True, settings.chance  # from here on residuals are small where they are at all
             move_rows(rows, n, d[0], d[1], d[2] / reach)
         else:
             n = surface_rows(points, m, stride, pose, surfaces, radius, settings.grazing, rows)
@@ -168,7 +168,7 @@ def align(points, m, reach, noise, settings, prior, surfaces, pose, rows, space,
         if coarse:
             if step < noise or iteration >= settings.iterations // 3:
                 coarse, step = False, math.inf
-        elif agrees > 0.0 and step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
+        elif is_settled and step < 0.1 * noise * math.sqrt(3.0 / n) + 1e-9:
             break
     return n, scale
 
