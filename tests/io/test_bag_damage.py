@@ -104,6 +104,21 @@ def test_a_damaged_chunk_of_a_bag_without_index_is_left_out(tmp_path, rng):
     assert recording.remarks[0].endswith("; 1 damaged chunks are left out.")
 
 
+def test_chunks_after_one_without_a_size_are_read(tmp_path, rng):
+    path = tmp_path / "run.bag"
+    end = write_chunks(path, rng)
+    data = bytearray(path.read_bytes()[:end])
+    at = data.find(b"compression=none")
+    size = data.index(b"size=", at - 60)
+    start = max(size + 9, at + 16)
+    assert int.from_bytes(data[start : start + 4], "little") > 1000
+    data[start : start + 4] = bytes(4)
+    path.write_bytes(data)
+    recording = read_bag(path, ROBOT)
+    assert len(recording.imu) == 600
+    assert "damaged" not in recording.remarks[0]
+
+
 @pytest.mark.parametrize("part", [0.0001, 0.1, 0.5, 0.9])
 def test_a_database_cut_short_is_refused(tmp_path, part):
     file = write(tmp_path / "run") / "run.db3"

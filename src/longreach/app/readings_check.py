@@ -57,16 +57,16 @@ class ReadingsCheck:
     def _look(self, taken: Sequence[Readings], outputs: Sequence[Output]) -> None:
         try:
             found = [*taken[-1].remarks, *self._of_each(taken), *_of_all(taken, self._robot)]
+            matches = [match for one in outputs for match in one.matches]
+            self._recent.take(matches, [event for one in outputs for event in one.events], self._mount_is_known)
+            found += [finding(self._recent.remark)] if self._recent.remark else []
         except Exception as error:  # whatever readings can be: the robot goes on
             found = [f"The readings could not be checked: {error}"]
             if not isinstance(error, LongreachError):
                 self._log.debug("The check of the readings has failed.", exc_info=True)
-        matches = [match for one in outputs for match in one.matches]
-        self._recent.take(matches, [event for one in outputs for event in one.events], self._mount_is_known)
-        found += [finding(self._recent.remark)] if self._recent.remark else []
         self.remarks = tuple(found)
         for remark in found:
-            kind = "".join(c for c in remark if not c.isdigit())
+            kind = without_numbers(remark)
             if kind not in self._known and len(self._known) < 100:
                 self._known.add(kind)
                 self._log.warning(remark)
@@ -107,6 +107,11 @@ def _of_all(taken: Sequence[Readings], robot: RobotDescription) -> list[str]:
 def finding(remark: str) -> str:
     """Return what a sentence of the doctor or of plausibility has found, without what was done about it."""
     return remark.partition("; ")[0].rstrip(".") + "."
+
+
+def without_numbers(remark: str) -> str:
+    """Return what stays the same of a sentence when its numbers change."""
+    return "".join(c for c in remark if not c.isdigit())
 
 
 def _numbers(one: Wheels) -> list[np.ndarray]:

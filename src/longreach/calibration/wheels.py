@@ -23,11 +23,8 @@ from longreach.geometry import se2
 from longreach.robot.bases import DifferentialBase, MecanumBase
 from longreach.robot.description import RobotDescription
 
-_SLIP = (
-    0.003,
-    0.02,
-    0.011,
-)  # of rollers, of a motion forwards, sideways and turning [1]: simulated physics, good floor
+# Slip of rollers, of a motion forwards, sideways and turning [1]: simulated physics, good floor.
+_SLIP = (0.003, 0.02, 0.011)
 _SMALL = 1e-4  # [rad]: below, series to second order are exact to rounding
 
 

@@ -34,6 +34,7 @@ from longreach.io.mcap_file import McapReader
 _IDL = "=" * 80 + "\nIDL: "
 _HEADER = "std_msgs/msg/Header"
 _TELL_EVERY = 500  # messages
+_LARGEST = 1 << 28  # [bytes] of a chunk that does not say how large it is
 
 
 @dataclass(frozen=True)
@@ -259,12 +260,15 @@ class _UnindexedRos1Reader(Ros1Reader):
                 self.bio.seek(at)
                 chunk = self.read_chunk()
                 self.bio.seek(chunk.datapos)
-                packed = self.bio.read(chunk.datasize or -1)  # the size is written last, so 0 in a chunk that was begun
+                packed = self.bio.read(chunk.datasize or _LARGEST)  # the size is written last, thus 0 in one begun
                 is_cut = chunk.datasize != len(packed)
-                chunk = chunk._replace(datasize=len(packed))
                 try:
-                    self._take(at, chunk.decompressor(packed), found)
-                    self.chunks[at] = chunk
+                    data = chunk.decompressor(packed)
+                    taken = self._take(at, data, found)
+                    if chunk.datasize == 0 and len(data) == len(packed):  # it is not packed, and ends where it is whole
+                        packed = packed[:taken]
+                        self.bio.seek(chunk.datapos + taken)
+                    self.chunks[at] = chunk._replace(datasize=len(packed))
                 except Exception:  # whatever the decompressors, struct or Unicode say of it
                     damaged += not is_cut
         if not self.chunk_infos:
@@ -279,10 +283,10 @@ class _UnindexedRos1Reader(Ros1Reader):
             f"{f'; {damaged} damaged chunks are left out' if damaged else ''}.",
         )
 
-    def _take(self, at: int, data: bytes, found: dict[int, Connection]) -> None:
-        """Take note of what is in the chunk at a place of the file."""
+    def _take(self, at: int, data: bytes, found: dict[int, Connection]) -> int:
+        """Take note of what is in the chunk at a place of the file; return how many bytes of it are whole records."""
         file, self.bio = self.bio, io.BytesIO(data)
-        known, entries = {}, []
+        known, entries, offset = {}, [], 0
         with suppress(ros1.ReaderError):  # a record that is cut
             while (offset := self.bio.tell()) < len(data):
                 header = ros1.Header.read(self.bio)
@@ -302,6 +306,7 @@ class _UnindexedRos1Reader(Ros1Reader):
         if entries:
             times = [entry.time for _, entry in entries]
             self.chunk_infos.append(ros1.ChunkInfo(at, min(times), max(times) + 1, {}))
+        return offset
 
 
 def _opened_ros1(path: Path) -> Ros1Reader:

@@ -143,7 +143,7 @@ def _scan_line(path: Path, line: int, words: list[str]) -> ScanLine:
 
 
 def _count(words: list[str], at: int) -> int:
-    return int(words[at]) if at < len(words) and words[at].isdigit() else -1
+    return int(words[at]) if at < len(words) and words[at].isdecimal() else -1
 
 
 def read_carmen(path: Path, robot: RobotDescription, progress: Callable[[float], None] | None = None) -> Recording:

@@ -44,10 +44,8 @@ def judge_beams(points, m, tolerance, pose, surfaces, on_map, corner, grid, verd
                 j = cells[blocks[i // SIDE, k // SIDE], i % SIDE, k % SIDE, layer]
                 if j < 0 or elements[j, 4] < _RETURNS:
                     continue
-                facing, aside = (
-                    dx * elements[j, 2] + dy * elements[j, 3],
-                    dx * (elements[j, 1] - hy) - dy * (elements[j, 0] - hx),
-                )
+                facing = dx * elements[j, 2] + dy * elements[j, 3]
+                aside = dx * (elements[j, 1] - hy) - dy * (elements[j, 0] - hx)
                 through = through or (abs(facing) > _HEAD_ON and abs(aside) < _ASIDE * abs(facing))
         verdicts[u] = -1
         if through:

@@ -38,7 +38,7 @@ _FEWEST = 12  # returns of a scan that shows a place
 
 
 class Evidence(NamedTuple):
-    """Of so many beams of a scan those that a map explains, and that contradict it; there the others see is unknown."""
+    """How many beams of a scan a map explains, and how many contradict it; where the others end, it knows nothing."""
 
     explained: int
     against: int
@@ -105,17 +105,8 @@ class KnownMap:
         reference, verdicts = self.reference(k), np.empty(scan.count, np.int64)
         gate = MATCHER.settings.gate * min(scan.noise, 1.2 * reference.noise)  # as the matcher's
         at, (corner, cells) = se2.between(self.poses[k], pose), self.space
-        evidence_kernels.judge_beams(
-            scan.values,
-            scan.count,
-            max(gate, 0.5 * CELL) + self.cell,
-            at,
-            reference.surfaces,
-            pose,
-            corner,
-            cells,
-            verdicts,
-        )
+        tolerance, surfaces = max(gate, 0.5 * CELL) + self.cell, reference.surfaces
+        evidence_kernels.judge_beams(scan.values, scan.count, tolerance, at, surfaces, pose, corner, cells, verdicts)
         explained, against = evidence_kernels.count_beams(verdicts, _RUN)
         return Evidence(explained, against, scan.count)
 

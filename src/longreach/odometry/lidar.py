@@ -168,7 +168,7 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
     going_on = np.zeros(3) if _is_too_fast(state.motion[0], period) else state.motion[0]  # after a gap
     twist = going_on if prior is None else se2.log(prior)
     before = state.predicted
-    if prior is not None and (period < _GAP or scan.time_increment == 0.0):
+    if prior is not None and not _bends(scan, period):
         state = state._replace(predicted=_mean(before, twist, period) if state.motion.any() else twist)
     expected = _prior(state, twist, scan.stamp, period if prior is None else min(period, _LAG), prior is not None)
     fit = state.matcher.match(features, state.reference, geometry, expected)
@@ -186,7 +186,7 @@ def step(state: LidarState, scan: LaserScan, prior: np.ndarray | None = None) ->
             return _matched(state, scan, features, geometry, fit, moved)
         fit = "it would have moved the base faster than a base moves"
     state, match = _failed(state._replace(stamp=scan.stamp), features, expected, fit)
-    if prior is not None and (period < _GAP or scan.time_increment == 0.0):  # it alone shows how the motion goes on
+    if prior is not None and not _bends(scan, period):  # it alone shows how the motion goes on
         state = state._replace(motion=np.array([twist, state.motion[1] + state.predicted - before]))
     elif match.keyframe:
         state = state._replace(motion=np.zeros((2, 3)))
@@ -197,6 +197,11 @@ def _is_too_fast(moved: np.ndarray, period: float) -> bool:
     """Whether a motion (3,) in a period [s] is beyond what any indoor base does; stamps may be off by a period."""
     most = max(2.0 * period, _LAG)
     return bool(math.hypot(moved[0], moved[1]) > _FASTEST[0] * most or abs(moved[2]) > _FASTEST[1] * most)
+
+
+def _bends(scan: LaserScan, period: float) -> bool:
+    """Whether a sweep would be undistorted by a motion over so long a period [s] that it says nothing of the sweep."""
+    return scan.time_increment > 0.0 and period >= _GAP
 
 
 def _either(better: Fit, other: Fit) -> Fit:
@@ -299,8 +304,8 @@ def _matched(
         (moved, state.motion[1] if state.motion.any() else se2.log(moved), (scan.stamp - state.stamp) / _LASTING),
     )
     pose, covariance, shared, motion = _lidar_kernels.relate(*keyframe, *found, *last)
-    if scan.time_increment > 0.0 and scan.stamp - state.stamp >= _GAP:
-        motion = np.zeros((2, 3))  # by the twist of a gap no sweep is undistorted
+    if _bends(scan, scan.stamp - state.stamp):
+        motion = np.zeros((2, 3))
     measurement = RelativePoseMeasurement(state.keyframe, scan.stamp, pose, covariance, "lidar", None, shared)
     blind = len(fit.directions) > 0
     observed = state.observed if blind else scan.stamp

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from longreach.app.readings_check import without_numbers
 from longreach.configuration import ConfigurationTrajectory
 from longreach.errors import LongreachError
 from longreach.geometry import se2
@@ -63,7 +64,7 @@ class Teleop:
         self._scan: tuple[Any, Any, Any] = (None, None, None)  # as it came, its points, and where the base was
         self._ways: deque[tuple[float, np.ndarray]] = deque([(client.state.stamp, q[:3])], maxlen=_RECENT)
         self._watches = client.role == "watcher"
-        self._remarks = 0  # on the robot's readings, of which a notice was given
+        self._known_remarks: set[str] = set()  # of the remarks on readings, without their numbers
         self._unwatch = client.on_state(lambda state: self._ways.append((state.stamp, state.q[:3])))
         self._add_controls()
         if prepare is not None:
@@ -305,9 +306,10 @@ class Teleop:
 
     def _tell_of_readings(self, remarks: Sequence[str]) -> None:
         """Give a notice of what is new; the panel shows what lasts."""
-        for remark in remarks[self._remarks :]:
-            self._tell("The robot's readings", remark)
-        self._remarks = len(remarks)
+        for remark in remarks:
+            if (kind := without_numbers(remark)) not in self._known_remarks:
+                self._known_remarks.add(kind)
+                self._tell("The robot's readings", remark)
 
     def _banner(self, state: Any) -> tuple[str, str] | None:
         """Return what everybody at the page must know: that the robot is stopped, and what to do."""
